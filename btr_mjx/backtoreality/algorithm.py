@@ -26,6 +26,7 @@ from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import calibration_delta, entries_of_diagnosis, proposals, seek
 from btr_mjx.backtoreality.run_state import Phase, Problem, State, Trials
 from btr_mjx.backtoreality.simulation_search import delta_of_simulations, genetic_algorithm, whole_trial_delta
+from btr_mjx.backtoreality.trial_information import told_by_plan, told_by_trials, told_sentence
 from btr_mjx.errors import InputError
 from btr_mjx.gap.results import FoundEffect
 from btr_mjx.gap.simulate import Counter
@@ -35,10 +36,10 @@ from btr_mjx.optimise import GAState
 Report = Callable[[str, dict[str, Any]], None]
 """Callback for results, with their kind.
 
-It is "generation" or "iteration", with a row of a table; "growth", with an entry of `State.sought`; "seeking", with the
-phase of a search for a missing effect; or "archive" at the end of a search, with iteration, phase, part (2 for step 3
-in a simulator that grew in this iteration), and genomes (g, population, bits) and scores (g, population) of all
-generations.
+It is "generation" or "iteration", with a row of a table; "planned", with what the first trials can tell; "growth",
+with an entry of `State.sought`; "seeking", with the phase of a search for a missing effect; or "archive" at the end of
+a search, with iteration, phase, part (2 for step 3 in a simulator that grew in this iteration), and genomes (g,
+population, bits) and scores (g, population) of all generations.
 """
 
 
@@ -111,9 +112,14 @@ def search_controllers(problem: Problem, state: State, report: Report) -> State:
     scores = problem.simulate(state.simulation[None], box.decode(genomes))[0]
     state = _after_generation(state, algorithm.tell(search, genomes, scores), genomes, scores)
     report("generation", _generation_row(state, "controllers", scores, problem.fitness.maximise))
-    if len(state.scores) == settings.generations:
-        report("archive", _archive(state, "controllers"))
-    return state if len(state.scores) < settings.generations else replace(state, phase="transfer", search=None)
+    if len(state.scores) < settings.generations:
+        return state
+    report("archive", _archive(state, "controllers"))
+    if state.iteration == 1:
+        planned, _ = select_transferable(state.genomes, state.scores, problem.settings.trials, problem.fitness.maximise)
+        if len(planned):
+            report("planned", {"told": told_by_plan(problem, state.simulation, box.decode(planned))})
+    return replace(state, phase="transfer", search=None)
 
 
 def test_in_reality(problem: Problem, state: State) -> State:
@@ -182,6 +188,7 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
     # s_(i-1) need not lie on the grid of genomes, and all simulations may have diverged.
     if after >= state.delta_before:
         simulation, after = state.simulation, state.delta_before
+    told = told_by_trials(problem, simulation, state.trials, state.iteration)
     latest = state.trials.iteration == state.iteration
     chosen = best_index(np.where(latest, state.trials.f_r, np.nan), problem.fitness.maximise)
     report(
@@ -196,6 +203,7 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
             "f_r_mean": float(np.nanmean(state.trials.f_r[latest])),
             "evaluations": len(state.trials),
             "simulation": simulation,
+            "told": told_sentence(told, problem.simulation_box),
         },
     )
     stop = ""
@@ -206,7 +214,13 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
     elif settings.max_evaluations is not None and len(state.trials) + settings.trials > settings.max_evaluations:
         stop = "max_evaluations"
     state = replace(
-        state, simulation=simulation, search=None, genomes=state.genomes[:0], scores=state.scores[:0], stop=stop
+        state,
+        simulation=simulation,
+        search=None,
+        genomes=state.genomes[:0],
+        scores=state.scores[:0],
+        stop=stop,
+        told=told,
     )
     if len(state.grown) < settings.most_effects and not _sought_here(state):
         return replace(state, phase="growth", delta_before=after)

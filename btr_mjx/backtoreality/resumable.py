@@ -15,6 +15,7 @@ from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.reality import SimulatedReality, Waiting
 from btr_mjx.backtoreality.run_state import Phase, Problem, State, state_from_arrays, state_to_arrays
+from btr_mjx.backtoreality.trial_information import slope_simulations
 from btr_mjx.gap.simulate import Journal, followed_search
 from btr_mjx.models import robot_digest
 from btr_mjx.runs import RunFolder, StopRequest, content_digest, note, progress, say_progress, write_arrays
@@ -44,11 +45,15 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
             run.add_file(_write_archive(run.path, grown(problem, state.grown), row))
         elif kind == "growth":
             note(growth_sentence(row))
+        elif kind == "planned":
+            note(f"before the first trials: {row['told']}")
         elif kind == "seeking":
             assert say is not None
             say(row["phase"])
         else:
             tables[kind].append(row)
+            if kind == "iteration":
+                note(f"iteration {row['iteration']}: {row['told']}")
 
     show = show and state.phase != "done"
     with progress(total=_pairs_left(problem, state), description="pairs", unit="pairs", show=show) as bar:
@@ -120,13 +125,16 @@ def _pairs_left(problem: Problem, state: State) -> int:
     if state.phase == "done":
         return 0
     left = 0 if state.phase != "baseline" else 1
+    slopes = slope_simulations(problem)
+    if state.iteration == 1 and state.phase in ("baseline", "controllers"):
+        left += slopes * settings.trials
     for iteration in range(state.iteration + (state.phase == "growth"), settings.iterations + 1):
         behaviours = settings.trials * (iteration if settings.behaviours == "all" else 1)
         done = len(state.scores) if iteration == state.iteration else 0
         if iteration > state.iteration or state.phase in ("baseline", "controllers"):
             left += settings.controllers * (settings.controller_generations - done) + behaviours
             done = 0
-        left += settings.simulations * behaviours * (settings.simulation_generations - done)
+        left += settings.simulations * behaviours * (settings.simulation_generations - done) + slopes * behaviours
     return left
 
 

@@ -1,0 +1,275 @@
+"""What trials tell of the unknown numbers: Fisher information of fitness, intervals, what is told of combinations.
+
+In the best simulation s, N measured values of fitness leave residuals r, whose slopes J (N, p) along the unknown
+numbers are found by finite differences. With each number's range as a prior of the same variance P^-1, the linear
+picture gives
+
+    covariance C = (J'J / v + P)^-1        estimate = s - C (J'r / v + P (s - middle))
+
+with the variance v of a value: that of repeated measurements, that by which fitness differs from a parabola, and N
+times that of the residuals where these are larger than noise: trials of similar controllers share what the simulator
+lacks, and many of them tell no more of the numbers than one. What a slope owes to roughness is taken from
+J'J. A difference is as wide as the interval that it gives: motion with contacts has rough fitness, whose slope
+at a point says nothing of a simulation that is a tenth of the range away.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from btr_mjx.backtoreality.run_state import Problem, Trials
+from btr_mjx.backtoreality.simulation_search import compared_fitness, counting_trials
+from btr_mjx.gap.results import format_number
+from btr_mjx.robots import Box
+
+STEPS = (0.3, 0.15, 0.075)
+"""Steps of finite differences, as shares of a number's range; each also takes the values at half of it."""
+
+LEVEL = 0.9
+"""Probability of an interval."""
+
+TOLD = 0.5
+"""Part of its range that the interval of a number that is told does not exceed."""
+
+_MIRRORED = 1.5
+"""Where a step would leave the range, it goes so many times as far to the other side."""
+
+_CHANCE = 0.05
+"""Probability with which noise, or roughness, counts as more than it is."""
+
+_INVOLVED = 0.1
+"""Least part of a number in a direction, squared, that is said."""
+
+_PLANNED_SCATTER = 0.05
+"""Scatter of measurements that is assumed before any, as a part of the planned controllers' fitness."""
+
+
+_PRIOR = 12.0
+"""One over the variance of a number that may be anywhere in its range."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Fitness of trials around a simulation, with p unknown numbers in units of their ranges.
+
+    Attributes:
+      values: (N,) fitness in the simulation.
+      slopes: (S, N, p) derivatives, by steps of S sizes.
+      rough: (S, p) mean square difference of fitness from the parabola behind a slope.
+      gain: (S, p) variance of a slope, in units of `rough`.
+    """
+
+    values: np.ndarray
+    slopes: np.ndarray
+    rough: np.ndarray
+    gain: np.ndarray
+
+    def weighted(self, weight: np.ndarray) -> "Slopes":
+        """The same in other units: values times a weight (N,)."""
+        rough = self.rough * np.mean(weight**2)
+        return Slopes(self.values * weight, self.slopes * weight[:, None], rough, self.gain)
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What trials tell of p numbers, in units of their ranges.
+
+    Attributes:
+      at: (p,) the simulation's numbers.
+      estimate: (p,) those that the linear picture prefers, within the ranges.
+      covariance: (p, p) of their errors.
+      quantile: half the width of an interval, in standard errors.
+    """
+
+    at: np.ndarray
+    estimate: np.ndarray
+    covariance: np.ndarray
+    quantile: float
+
+    @property
+    def reach(self) -> np.ndarray:
+        """(p,) half the widths of the intervals around the estimates."""
+        return self.quantile * np.sqrt(np.diag(self.covariance))
+
+    @property
+    def interval(self) -> np.ndarray:
+        """(2, p) low and high ends, which may lie outside the ranges; the simulation's numbers are within."""
+        low, high = self.estimate - self.reach, self.estimate + self.reach
+        return np.array([np.minimum(low, self.at), np.maximum(high, self.at)])
+
+    @property
+    def told(self) -> np.ndarray:
+        """(p,) bool: numbers whose interval is a part of their range only."""
+        return np.ptp(self.interval, axis=0) <= TOLD
+
+    def combinations(self) -> dict[tuple[int, ...], list[np.ndarray]]:
+        """Numbers that are not told each by itself -> their shares in directions that are told."""
+        variance, directions = np.linalg.eigh(self.covariance)
+        found: dict[tuple[int, ...], list[np.ndarray]] = {}
+        for size, direction in zip(variance, directions.T, strict=True):
+            own = np.flatnonzero((direction**2 >= _INVOLVED) & ~self.told)
+            if 2 * self.quantile * np.sqrt(size) <= TOLD and len(own) > 1:
+                found.setdefault(tuple(own.tolist()), []).append(direction[own])
+        return found
+
+
+def fitness_slopes(problem: Problem, simulation: np.ndarray, controllers: np.ndarray) -> Slopes:
+    """Fitness that step 3 compares, of controllers (M, n_c) in a simulation (n_s,), and its slopes.
+
+    One batch of `slope_simulations` simulations. N is M times the marks; values of controllers that diverged are NaN.
+    """
+    box, at = problem.simulation_box, _shares(problem, simulation)
+    own = simulation[problem.robot.simulation_box.indices(problem.unknown)]
+    sizes = np.array([*STEPS, STEPS[-1] / 2])
+    offsets = np.concatenate([-sizes, sizes])[:, None]
+    outside = np.abs(at + offsets - 0.5) > 0.5
+    places = at + np.where(outside, -_MIRRORED * offsets, offsets)
+    rows = np.tile(own, (box.n, len(places), 1))
+    for i in range(box.n):
+        rows[i, :, i] = np.clip(box.low[i] + box.span[i] * places[:, i], box.low[i], box.high[i])
+    members = problem.embed(np.concatenate([own[None], rows.reshape(-1, box.n)]))
+    found = compared_fitness(problem, members, controllers).reshape(len(members), -1)
+    centre, beside = found[0], found[1:].reshape(box.n, len(places), -1)
+    slopes = np.empty((len(STEPS), len(centre), box.n))
+    rough, gain = np.empty((2, len(STEPS), box.n))
+    for size in range(len(STEPS)):
+        pick = [size, size + 1, size + len(sizes), size + 1 + len(sizes)]
+        for i in range(box.n):
+            powers = np.vander(np.append(0.0, places[pick, i] - at[i]), 3, increasing=True)
+            fit, values = np.linalg.pinv(powers), np.concatenate([centre[None], beside[i, pick]])
+            left = values - powers @ (fit @ values)
+            slopes[size, :, i] = fit[1] @ values
+            squares = (left**2).sum(0) / (len(powers) - powers.shape[1])
+            rough[size, i] = np.mean(squares, where=np.isfinite(squares)) if np.isfinite(squares).any() else 0.0
+            gain[size, i] = (fit[1] ** 2).sum()
+    return Slopes(centre, slopes, rough, gain)
+
+
+def slope_simulations(problem: Problem) -> int:
+    """Simulations behind the slopes."""
+    return 2 * (len(STEPS) + 1) * len(problem.unknown) + 1
+
+
+def told_by(slopes: Slopes, residual: np.ndarray, at: np.ndarray, noise: float = 0.0) -> Told:
+    """Estimates of numbers and their errors.
+
+    Args:
+      slopes: of N values.
+      residual: (N,) simulated less measured values; those that are NaN, or whose slopes are, do not count.
+      at: (p,) the simulation's numbers, as shares of their ranges.
+      noise: known standard deviation of a measured value.
+
+    Returns:
+      What is told, in units of the ranges.
+    """
+    good = np.isfinite(residual) & np.isfinite(slopes.slopes).all(axis=(0, 2))
+    residual, jacobians = residual[good], slopes.slopes[:, good]
+    count, p = len(residual), len(at)
+    square = float(residual @ residual)
+    chance = float(scipy.stats.chi2.isf(_CHANCE, max(count, 1)))  # sum of squares of noise, at most
+    more = square > noise**2 * chance
+    # The fit hides a part of what the simulator lacks.
+    freedom = max(count - p, 1)
+    shared = max(square - count * noise**2, 0.0) * count / freedom if more else 0.0
+    quantile = float((scipy.stats.t(freedom) if more else scipy.stats.norm).isf((1 - LEVEL) / 2))
+    least = np.finfo(float).eps * float(np.mean(slopes.values[good] ** 2)) if count else 1.0
+    size, numbers = np.zeros(p, int), np.arange(p)
+    while True:
+        jacobian, rough = jacobians[size, :, numbers].T, slopes.rough[size, numbers]
+        variance = max(noise**2 + shared + float(np.mean(rough)), least)
+        by_roughness = np.diag(chance * rough * slopes.gain[size, numbers])
+        squares, axes = np.linalg.eigh(jacobian.T @ jacobian - by_roughness)
+        covariance = (axes / (np.maximum(squares, 0.0) / variance + _PRIOR)) @ axes.T
+        estimate = at - covariance @ (jacobian.T @ residual / variance + _PRIOR * (at - 0.5))
+        told = Told(at, np.clip(estimate, 0.0, 1.0), covariance, quantile)
+        smaller = (told.reach < np.array(STEPS)[size] / 2) & (size < len(STEPS) - 1)
+        if not smaller.any():
+            return told
+        size = size + smaller
+
+
+def told_by_trials(problem: Problem, simulation: np.ndarray, trials: Trials, iteration: int) -> dict[str, Any]:
+    """What the trials that step 3 compared tell of the unknown numbers, beside the simulation (n_s,) that it found.
+
+    Returns:
+      JSON-able: `intervals`, unknown number -> [low, high] in its unit, which holds the simulation's value; `told`,
+      names of those whose interval is a part of the range only; `combinations`, sentences on others of which only a
+      combination is told.
+    """
+    use = counting_trials(problem, trials, iteration)
+    slopes = fitness_slopes(problem, simulation, trials.controllers[use])
+    known = 0.0
+    if problem.settings.compared == "fitness":
+        real, scale, noise = trials.f_r[use][:, None], np.ones(1), getattr(problem.reality, "noise", np.nan)
+        if getattr(problem.reality, "truth", None) is None and np.isfinite(noise):
+            known = float(noise)
+    else:
+        real = trials.f_marks[use]
+        scale = 1 / np.maximum(real.std(axis=0), np.finfo(float).tiny)
+    weight = np.tile(scale, len(real))
+    residual = (slopes.values - real.reshape(-1)) * weight
+    box = problem.simulation_box
+    told = told_by(slopes.weighted(weight), residual, _shares(problem, simulation), known)
+    ends = (np.clip(told.interval, 0.0, 1.0) * box.span + box.low).tolist()
+    return {
+        "intervals": {name: [a, b] for name, a, b in zip(box.names, *ends, strict=True)},
+        "told": _names(box, told.told),
+        "combinations": _sentences(box, told),
+    }
+
+
+def told_by_plan(problem: Problem, simulation: np.ndarray, controllers: np.ndarray) -> str:
+    """Which unknown numbers trials of controllers (M, n_c) will tell, by a simulation (n_s,), as a sentence."""
+    slopes, box = fitness_slopes(problem, simulation, controllers), problem.simulation_box
+    scatter = _PLANNED_SCATTER * np.sqrt(np.nanmean(slopes.values**2))
+    nothing = np.zeros(len(slopes.values))
+    told = told_by(slopes, nothing, _shares(problem, simulation), float(scatter))
+    known, rest = _names(box, told.told), _names(box, ~told.told)
+    text = f"the {len(controllers)} planned trials, if they scatter by {_PLANNED_SCATTER:.0%} of the fitness, "
+    text += f"can tell {_listed(known)}" if known else "can tell no unknown number"
+    text += f", not {_listed(rest)}" if known and rest else ""
+    return "; ".join([text, *_sentences(box, told)])
+
+
+def told_sentence(told: Mapping[str, Any], box: Box) -> str:
+    """What trials tell, of a record of `told_by_trials` and the box of the unknown numbers."""
+    parts = []
+    for name in told["told"]:
+        low, high = (format_number(value) for value in told["intervals"][name])
+        parts.append(f"{name} {low} to {high} {box.units[box.index(name)]}".rstrip())
+    rest = [name for name in told["intervals"] if name not in told["told"]]
+    text = f"told by the trials ({LEVEL:.0%}): {', '.join(parts) or 'nothing'}"
+    return "; ".join([text, *([f"not told: {', '.join(rest)}"] if rest else []), *told["combinations"]])
+
+
+def _shares(problem: Problem, simulation: np.ndarray) -> np.ndarray:
+    """(p,) the unknown numbers of a simulation (n_s,), as shares of their ranges."""
+    box = problem.simulation_box
+    own: np.ndarray = simulation[problem.robot.simulation_box.indices(problem.unknown)]
+    return (own - box.low) / box.span
+
+
+def _names(box: Box, chosen: np.ndarray) -> list[str]:
+    return [name for name, own in zip(box.names, chosen, strict=True) if own]
+
+
+def _sentences(box: Box, told: Told) -> list[str]:
+    out = []
+    for own, directions in told.combinations().items():
+        names = [box.names[i] for i in own]
+        if len(own) == 2 and len(directions) == 1:
+            first, second = directions[0] / box.span[list(own)]
+            sign = "+" if first * second > 0 else "-"
+            out.append(f"only {names[0]} {sign} {abs(second / first):.2g} × {names[1]} is told")
+        else:
+            count = "one combination" if len(directions) == 1 else f"{len(directions)} combinations"
+            verb = "is" if len(directions) == 1 else "are"
+            out.append(f"only {count} of {_listed(names)} {verb} told")
+    return out
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
