@@ -16,7 +16,7 @@ from btr_mjx.gap.results import format_number
 _DISTANCES = {"fitness": "Delta_fitness", "multiscale": "the multiscale distance"}
 
 NOT_TOLD = "not told by these trials"
-"""What stands beside a number whose interval is more than half of its range."""
+"""What stands beside a number that has its range in place of an interval."""
 
 _AT_BOUND = 0.005
 """Part of its range within which a value counts as being at the bound."""

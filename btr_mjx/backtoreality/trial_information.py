@@ -38,7 +38,7 @@ _MIRRORED = 1.5
 """Where a step would leave the range, it goes so many times as far to the other side."""
 
 _CHANCE = 0.05
-"""Probability with which noise, or roughness, counts as more than it is."""
+"""Probability with which known noise leaves residuals that count as more than noise."""
 
 _INVOLVED = 0.1
 """Least part of a number in a direction, squared, that is said."""
@@ -49,6 +49,9 @@ _PLANNED_SCATTER = 0.05
 
 _PRIOR = 12.0
 """One over the variance of a number that may be anywhere in its range."""
+
+_QUANTILE = float(scipy.stats.norm.isf((1 - LEVEL) / 2))
+"""Half the width of an interval, in standard errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,29 +84,32 @@ class Told:
       at: (p,) the simulation's numbers.
       estimate: (p,) those that the linear picture prefers, within the ranges.
       covariance: (p, p) of their errors.
-      quantile: half the width of an interval, in standard errors.
     """
 
     at: np.ndarray
     estimate: np.ndarray
     covariance: np.ndarray
-    quantile: float
 
     @property
     def reach(self) -> np.ndarray:
         """(p,) half the widths of the intervals around the estimates."""
-        return self.quantile * np.sqrt(np.diag(self.covariance))
+        return _QUANTILE * np.sqrt(np.diag(self.covariance))
 
     @property
     def interval(self) -> np.ndarray:
-        """(2, p) low and high ends, which may lie outside the ranges; the simulation's numbers are within."""
-        low, high = self.estimate - self.reach, self.estimate + self.reach
-        return np.array([np.minimum(low, self.at), np.maximum(high, self.at)])
+        """(2, p) low and high ends, with the simulation's numbers within; of what is not told, those of the range."""
+        low, high = self._ends
+        return np.where(self.told, [np.maximum(low, 0.0), np.minimum(high, 1.0)], [[0.0], [1.0]])
 
     @property
     def told(self) -> np.ndarray:
         """(p,) bool: numbers whose interval is a part of their range only."""
-        return np.ptp(self.interval, axis=0) <= TOLD
+        return np.ptp(self._ends, axis=0) <= TOLD
+
+    @property
+    def _ends(self) -> np.ndarray:
+        low, high = self.estimate - self.reach, self.estimate + self.reach
+        return np.array([np.minimum(low, self.at), np.maximum(high, self.at)])
 
     def combinations(self) -> dict[tuple[int, ...], list[np.ndarray]]:
         """Numbers that are not told each by itself -> their shares in directions that are told."""
@@ -111,7 +117,7 @@ class Told:
         found: dict[tuple[int, ...], list[np.ndarray]] = {}
         for size, direction in zip(variance, directions.T, strict=True):
             own = np.flatnonzero((direction**2 >= _INVOLVED) & ~self.told)
-            if 2 * self.quantile * np.sqrt(size) <= TOLD and len(own) > 1:
+            if 2 * _QUANTILE * np.sqrt(size) <= TOLD and len(own) > 1:
                 found.setdefault(tuple(own.tolist()), []).append(direction[own])
         return found
 
@@ -169,22 +175,19 @@ def told_by(slopes: Slopes, residual: np.ndarray, at: np.ndarray, noise: float =
     residual, jacobians = residual[good], slopes.slopes[:, good]
     count, p = len(residual), len(at)
     square = float(residual @ residual)
-    chance = float(scipy.stats.chi2.isf(_CHANCE, max(count, 1)))  # sum of squares of noise, at most
-    more = square > noise**2 * chance
+    more = square > noise**2 * scipy.stats.chi2.isf(_CHANCE, max(count, 1))
     # The fit hides a part of what the simulator lacks.
-    freedom = max(count - p, 1)
-    shared = max(square - count * noise**2, 0.0) * count / freedom if more else 0.0
-    quantile = float((scipy.stats.t(freedom) if more else scipy.stats.norm).isf((1 - LEVEL) / 2))
+    shared = max(square - count * noise**2, 0.0) * count / max(count - p, 1) if more else 0.0
     least = np.finfo(float).eps * float(np.mean(slopes.values[good] ** 2)) if count else 1.0
     size, numbers = np.zeros(p, int), np.arange(p)
     while True:
         jacobian, rough = jacobians[size, :, numbers].T, slopes.rough[size, numbers]
         variance = max(noise**2 + shared + float(np.mean(rough)), least)
-        by_roughness = np.diag(chance * rough * slopes.gain[size, numbers])
+        by_roughness = np.diag(count * rough * slopes.gain[size, numbers])
         squares, axes = np.linalg.eigh(jacobian.T @ jacobian - by_roughness)
         covariance = (axes / (np.maximum(squares, 0.0) / variance + _PRIOR)) @ axes.T
         estimate = at - covariance @ (jacobian.T @ residual / variance + _PRIOR * (at - 0.5))
-        told = Told(at, np.clip(estimate, 0.0, 1.0), covariance, quantile)
+        told = Told(at, np.clip(estimate, 0.0, 1.0), covariance)
         smaller = (told.reach < np.array(STEPS)[size] / 2) & (size < len(STEPS) - 1)
         if not smaller.any():
             return told
@@ -196,8 +199,8 @@ def told_by_trials(problem: Problem, simulation: np.ndarray, trials: Trials, ite
 
     Returns:
       JSON-able: `intervals`, unknown number -> [low, high] in its unit, which holds the simulation's value; `told`,
-      names of those whose interval is a part of the range only; `combinations`, sentences on others of which only a
-      combination is told.
+      names of those that are told, while the interval of the others is their range; `combinations`, sentences on
+      others of which only a combination is told.
     """
     use = counting_trials(problem, trials, iteration)
     slopes = fitness_slopes(problem, simulation, trials.controllers[use])
@@ -213,7 +216,7 @@ def told_by_trials(problem: Problem, simulation: np.ndarray, trials: Trials, ite
     residual = (slopes.values - real.reshape(-1)) * weight
     box = problem.simulation_box
     told = told_by(slopes.weighted(weight), residual, _shares(problem, simulation), known)
-    ends = (np.clip(told.interval, 0.0, 1.0) * box.span + box.low).tolist()
+    ends = (told.interval * box.span + box.low).tolist()
     return {
         "intervals": {name: [a, b] for name, a, b in zip(box.names, *ends, strict=True)},
         "told": _names(box, told.told),

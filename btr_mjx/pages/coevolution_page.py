@@ -173,8 +173,8 @@ def _count(number: int, word: str) -> str:
 
 TOLD_NOTE = (
     "Interval: 90 %, from how the fitness of the fitted trials changes with each parameter and from how far it is from "
-    "the measured one; it holds the identified value. A parameter whose interval is more than half of its range is not "
-    "told by these trials: other motions or more trials are needed."
+    "the measured one. Where it would be more than half of the range, the parameter is not told by these trials and "
+    "its range is given: other motions, more trials or repeated measurements are needed."
 )
 """What the column of intervals is."""
 
