@@ -49,6 +49,8 @@ class Config:
     """Iterations of Back-to-Reality."""
     noise: float = 0.0
     """Relative standard deviation of a measured fitness."""
+    choose: Literal["best", "informative"] = "best"
+    """Which controllers are tried."""
     out: Path = Path("runs/told_numbers")
     """Folder of the cases."""
     json: Path | None = None
@@ -80,6 +82,7 @@ def case(config: Config, seed: int) -> dict[str, Any]:
         optimiser="cma",
         iterations=config.iterations,
         noise=config.noise,
+        choose=config.choose,
         seed=seed,
     )
     problem = build_problem(settings)
@@ -118,7 +121,7 @@ def main() -> None:
         cases = []
         seeds = range(config.first_seed, config.first_seed + config.seeds)
         for seed in progress(seeds, description=config.robot, unit="runs", show=True):
-            file = config.out / f"{config.robot}-{config.iterations}-{config.noise:g}-{seed}.json"
+            file = config.out / f"{config.robot}-{config.choose}-{config.iterations}-{config.noise:g}-{seed}.json"
             if not file.is_file():
                 write_json(file, case(config, seed))
             cases.append(read_json(file))

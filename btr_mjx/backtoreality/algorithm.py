@@ -25,8 +25,13 @@ from btr_mjx.backtoreality.fitness_growth import seek_by_fitness
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import calibration_delta, entries_of_diagnosis, proposals, seek
 from btr_mjx.backtoreality.run_state import Phase, Problem, State, Trials
-from btr_mjx.backtoreality.simulation_search import delta_of_simulations, genetic_algorithm, whole_trial_delta
-from btr_mjx.backtoreality.trial_information import told_by_plan, told_by_trials, told_sentence
+from btr_mjx.backtoreality.simulation_search import (
+    counting_trials,
+    delta_of_simulations,
+    genetic_algorithm,
+    whole_trial_delta,
+)
+from btr_mjx.backtoreality.trial_information import informative, told_by_plan, told_by_trials, told_sentence
 from btr_mjx.errors import InputError
 from btr_mjx.gap.results import FoundEffect
 from btr_mjx.gap.simulate import Counter
@@ -115,21 +120,32 @@ def search_controllers(problem: Problem, state: State, report: Report) -> State:
     if len(state.scores) < settings.generations:
         return state
     report("archive", _archive(state, "controllers"))
-    if state.iteration == 1:
-        planned, _ = select_transferable(state.genomes, state.scores, problem.settings.trials, problem.fitness.maximise)
-        if len(planned):
-            report("planned", {"told": told_by_plan(problem, state.simulation, box.decode(planned))})
-    return replace(state, phase="transfer", search=None)
+    genomes, scores = _chosen(problem, state)
+    if state.iteration == 1 and len(genomes):
+        report("planned", {"told": told_by_plan(problem, state.simulation, box.decode(genomes))})
+    return replace(state, phase="transfer", search=None, genomes=genomes[None], scores=scores[None])
+
+
+def _chosen(problem: Problem, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Genomes (m, bits) of the controllers that are tried, and their fitness in simulation."""
+    settings, maximise = problem.settings, problem.fitness.maximise
+    if settings.choose == "informative":
+        last = select_transferable(state.genomes[-1:], state.scores[-1:], settings.controllers, maximise)
+        if len(last[0]) > settings.trials:
+            tried = state.trials.controllers[counting_trials(problem, state.trials, state.iteration)]
+            candidates = problem.controller_box.decode(last[0])
+            order = informative(problem, state.simulation, tried, candidates)[: settings.trials]
+            return last[0][order], last[1][order]
+    return select_transferable(state.genomes, state.scores, settings.trials, maximise)
 
 
 def test_in_reality(problem: Problem, state: State) -> State:
-    """Step 2: try the m best controllers in reality; the state after it begins the simulation search.
+    """Step 2: try the chosen controllers in reality; the state after it begins the simulation search.
 
     Raises:
       InputError: no controller is transferable, or none of the trials gave a finite fitness.
     """
-    settings = problem.settings
-    genomes, f_s = select_transferable(state.genomes, state.scores, settings.trials, problem.fitness.maximise)
+    genomes, f_s = state.genomes[0], state.scores[0]
     if not len(genomes):
         raise InputError(
             f"iteration {state.iteration}: every controller diverged in the simulation, none can be tried in reality; "

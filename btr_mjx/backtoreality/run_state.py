@@ -127,7 +127,7 @@ class State:
       genome: (bits,) of c_(i-1), from which step 1 starts.
       trials: all evaluations in reality.
       search: state of the present search, None between searches.
-      genomes: (g, population, bits) all generations of the present search.
+      genomes: (g, population, bits) all generations of the present search; (1, m, bits) the chosen ones before trials.
       scores: (g, population) their fitness or distance.
       delta_before: the distance of s_(i-1) over the behaviours of iteration i.
       stop: the stop criterion that was met, "" before.

@@ -25,7 +25,7 @@ from btr_mjx.backtoreality.simulation_search import compared_fitness, counting_t
 from btr_mjx.gap.results import format_number
 from btr_mjx.robots import Box
 
-STEPS = (0.3, 0.15, 0.075)
+SLOPE_STEPS = (0.3, 0.15, 0.075)
 """Steps of finite differences, as shares of a number's range; each also takes the values at half of it."""
 
 LEVEL = 0.9
@@ -52,6 +52,10 @@ _PRIOR = 12.0
 
 _QUANTILE = float(scipy.stats.norm.isf((1 - LEVEL) / 2))
 """Half the width of an interval, in standard errors."""
+
+
+_BEST_FIRST = 2
+"""Trials that are the best controllers' in any case."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +133,7 @@ def fitness_slopes(problem: Problem, simulation: np.ndarray, controllers: np.nda
     """
     box, at = problem.simulation_box, _shares(problem, simulation)
     own = simulation[problem.robot.simulation_box.indices(problem.unknown)]
-    sizes = np.array([*STEPS, STEPS[-1] / 2])
+    sizes = np.array([*SLOPE_STEPS, SLOPE_STEPS[-1] / 2])
     offsets = np.concatenate([-sizes, sizes])[:, None]
     outside = np.abs(at + offsets - 0.5) > 0.5
     places = at + np.where(outside, -_MIRRORED * offsets, offsets)
@@ -139,9 +143,9 @@ def fitness_slopes(problem: Problem, simulation: np.ndarray, controllers: np.nda
     members = problem.embed(np.concatenate([own[None], rows.reshape(-1, box.n)]))
     found = compared_fitness(problem, members, controllers).reshape(len(members), -1)
     centre, beside = found[0], found[1:].reshape(box.n, len(places), -1)
-    slopes = np.empty((len(STEPS), len(centre), box.n))
-    rough, gain = np.empty((2, len(STEPS), box.n))
-    for size in range(len(STEPS)):
+    slopes = np.empty((len(SLOPE_STEPS), len(centre), box.n))
+    rough, gain = np.empty((2, len(SLOPE_STEPS), box.n))
+    for size in range(len(SLOPE_STEPS)):
         pick = [size, size + 1, size + len(sizes), size + 1 + len(sizes)]
         for i in range(box.n):
             powers = np.vander(np.append(0.0, places[pick, i] - at[i]), 3, increasing=True)
@@ -156,7 +160,7 @@ def fitness_slopes(problem: Problem, simulation: np.ndarray, controllers: np.nda
 
 def slope_simulations(problem: Problem) -> int:
     """Simulations behind the slopes."""
-    return 2 * (len(STEPS) + 1) * len(problem.unknown) + 1
+    return 2 * (len(SLOPE_STEPS) + 1) * len(problem.unknown) + 1
 
 
 def told_by(slopes: Slopes, residual: np.ndarray, at: np.ndarray, noise: float = 0.0) -> Told:
@@ -188,7 +192,7 @@ def told_by(slopes: Slopes, residual: np.ndarray, at: np.ndarray, noise: float =
         covariance = (axes / (np.maximum(squares, 0.0) / variance + _PRIOR)) @ axes.T
         estimate = at - covariance @ (jacobian.T @ residual / variance + _PRIOR * (at - 0.5))
         told = Told(at, np.clip(estimate, 0.0, 1.0), covariance)
-        smaller = (told.reach < np.array(STEPS)[size] / 2) & (size < len(STEPS) - 1)
+        smaller = (told.reach < np.array(SLOPE_STEPS)[size] / 2) & (size < len(SLOPE_STEPS) - 1)
         if not smaller.any():
             return told
         size = size + smaller
@@ -235,6 +239,27 @@ def told_by_plan(problem: Problem, simulation: np.ndarray, controllers: np.ndarr
     text += f"can tell {_listed(known)}" if known else "can tell no unknown number"
     text += f", not {_listed(rest)}" if known and rest else ""
     return "; ".join([text, *_sentences(box, told)])
+
+
+def informative(problem: Problem, simulation: np.ndarray, tried: np.ndarray, candidates: np.ndarray) -> list[int]:
+    """Candidates (M, n_c) by how much their trials tell, beside those tried (n, n_c): a greedy D-optimal order.
+
+    The first two keep their places. Each of the others is the one with which the log-volume of what is not known falls
+    most, if measurements scatter as in `told_by_plan`.
+    """
+    slopes = fitness_slopes(problem, simulation, np.concatenate([tried, candidates]))
+    scatter = _PLANNED_SCATTER * np.sqrt(np.nanmean(slopes.values**2))
+    variance = float(scatter**2 + slopes.rough[0].mean())
+    p = slopes.slopes.shape[2]
+    rows = np.nan_to_num(slopes.slopes[0]).reshape(len(tried) + len(candidates), -1, p) / np.sqrt(variance)
+    own, others = rows[len(tried) :], rows[: len(tried)].reshape(-1, p)
+    information = others.T @ others + _PRIOR * np.eye(p)
+    order, left = list[int](), list(range(len(own)))
+    while left:
+        volumes = [np.linalg.slogdet(information + own[i].T @ own[i])[1] for i in left]
+        order.append(left.pop(0 if len(order) < _BEST_FIRST else int(np.argmax(volumes))))
+        information = information + own[order[-1]].T @ own[order[-1]]
+    return order
 
 
 def told_sentence(told: Mapping[str, Any], box: Box) -> str:

@@ -9,9 +9,10 @@ import pytest
 from btr_mjx.backtoreality import CoevolveConfig, Problem, build_problem
 from btr_mjx.backtoreality.run_state import Trials
 from btr_mjx.backtoreality.trial_information import (
-    STEPS,
+    SLOPE_STEPS,
     Slopes,
     fitness_slopes,
+    informative,
     told_by,
     told_by_plan,
     told_by_trials,
@@ -122,7 +123,10 @@ def test_true_numbers_are_within_their_intervals(shared: bool) -> None:
         error = 0.05 * (np.full(15, rng.standard_normal()) if shared else rng.standard_normal(15))
         at = truth + 0.02 * (at - 0.5)
         found = Slopes(
-            slopes @ at, np.stack([slopes] * len(STEPS)), np.zeros((len(STEPS), 3)), np.ones((len(STEPS), 3))
+            slopes @ at,
+            np.stack([slopes] * len(SLOPE_STEPS)),
+            np.zeros((len(SLOPE_STEPS), 3)),
+            np.ones((len(SLOPE_STEPS), 3)),
         )
         told = told_by(found, slopes @ (at - truth) - error, at, 0.0 if shared else 0.05)
         low, high = told.interval
@@ -134,11 +138,28 @@ def test_roughness_tells_nothing() -> None:
     """Fitness that does not depend on a number, but jumps with it: its slopes are large, and not believed."""
     rng, at = np.random.default_rng(2), np.array([0.4, 0.6])
     offsets = np.array([0.0, -1.0, -0.5, 0.5, 1.0])
-    slopes, rough, gain = np.zeros((len(STEPS), 40, 2)), np.zeros((len(STEPS), 2)), np.zeros((len(STEPS), 2))
-    for k, step in enumerate(STEPS):
+    slopes, rough, gain = (
+        np.zeros((len(SLOPE_STEPS), 40, 2)),
+        np.zeros((len(SLOPE_STEPS), 2)),
+        np.zeros((len(SLOPE_STEPS), 2)),
+    )
+    for k, step in enumerate(SLOPE_STEPS):
         fit = np.linalg.pinv(np.vander(step * offsets, 3, increasing=True))
         slopes[k] = np.stack([rng.standard_normal((40, 5)) @ fit[1] for _ in range(2)], axis=1)
         rough[k], gain[k] = 1.0, (fit[1] ** 2).sum()
-    residual = rng.standard_normal(40)
+    residual = np.sqrt(2) * rng.standard_normal(40)  # of noise and of roughness
     assert not told_by(Slopes(np.zeros(40), slopes, rough, gain), residual, at, 1.0).told.any()
-    assert told_by(Slopes(np.zeros(40), slopes, 0 * rough, gain), residual, at, 1.0).told.any()
+    assert told_by(Slopes(np.zeros(40), slopes, 0 * rough, gain), residual / 2, at, 1.0).told.any()
+
+
+def test_informative_trials_tell_what_the_best_do_not() -> None:
+    """The best controllers excite one number; the first other one that is chosen excites the other number most."""
+    made, at = problem(Parabola()), np.array([0.3, 0.5])
+    candidates = np.tile(made.controller_box.low, (6, 1)) * 0.0
+    candidates[:, 0] = [0.5, 0.49, 0.48, 0.47, 0.0, 0.1]
+    candidates[:, 1] = [0.0, 0.0, 0.0, 0.0, 0.2, 0.4]
+    candidates = np.clip(candidates, made.controller_box.low, made.controller_box.high)
+    order = informative(made, at, candidates[:0], candidates)
+    assert order[:3] == [0, 1, 5]
+    tried = np.tile(candidates[5], (30, 1))  # known from other trials: now the first number is worth more
+    assert informative(made, at, tried, candidates)[2] == 2
