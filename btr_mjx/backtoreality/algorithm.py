@@ -21,9 +21,8 @@ import numpy as np
 
 from btr_mjx.backtoreality import simulation_search
 from btr_mjx.backtoreality.controller_search import select_transferable
-from btr_mjx.backtoreality.fitness_growth import seek_by_fitness
 from btr_mjx.backtoreality.grown import grown
-from btr_mjx.backtoreality.growth import calibration_delta, entries_of_diagnosis, proposals, seek
+from btr_mjx.backtoreality.growth import calibration_delta, missing_effects
 from btr_mjx.backtoreality.run_state import Phase, Problem, State, Trials
 from btr_mjx.backtoreality.simulation_search import (
     counting_trials,
@@ -31,9 +30,9 @@ from btr_mjx.backtoreality.simulation_search import (
     genetic_algorithm,
     whole_trial_delta,
 )
-from btr_mjx.backtoreality.trial_information import informative, told_by_plan, told_by_trials, told_sentence
+from btr_mjx.backtoreality.told_words import told_by_plan, told_by_trials, told_sentence
+from btr_mjx.backtoreality.trial_information import informative
 from btr_mjx.errors import InputError
-from btr_mjx.gap.results import FoundEffect
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.models import base_model
 from btr_mjx.optimise import GAState
@@ -266,7 +265,7 @@ def seek_missing_effect(problem: Problem, state: State, report: Report, counter:
     row["calibration"] = calibration_delta(problem, state)
     if not left > row["calibration"]:
         return _next_iteration(replace(state, sought=(*state.sought, row | {"verdict": "within calibration"})))
-    found, entries = _missing(problem, state, report, counter)
+    found, entries = missing_effects(problem, state, lambda phase: report("seeking", {"phase": phase}), counter)
     row |= found | {"added": [f"{entry['effect']}@{entry['location']}" for entry in entries]}
     report("growth", row)
     if not entries:
@@ -284,31 +283,6 @@ def seek_missing_effect(problem: Problem, state: State, report: Report, counter:
         grown=(*state.grown, *entries),
         sought=(*state.sought, row),
     )
-
-
-def _missing(
-    problem: Problem, state: State, report: Report, counter: Counter
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """What a search for a missing effect says, for `State.sought`, and what is to be added, for `State.grown`."""
-    most = problem.settings.most_effects - len(state.grown)
-    record = getattr(problem.reality, "record", None) if problem.settings.grow_from == "recordings" else None
-    rows = np.flatnonzero(np.isfinite(state.trials.f_r))
-    # A diagnosis starts from a model, in which effects of a simulator would be missing again.
-    recordings = record(state.trials.controllers[rows], rows) if record and problem.robot.simulator is None else []
-    found, proposed = dict[str, Any](), list[FoundEffect]()
-    if len(recordings) >= 2:
-        diagnosis = seek(problem, state, recordings, lambda phase: report("seeking", {"phase": phase}), counter)
-        found = {"from": "recordings", "verdict": diagnosis.verdict, "unexplained": list(diagnosis.unexplained)}
-        found["ranking"] = [f"{row.effect}@{row.location}" for row in diagnosis.ranking[:5]]
-        entries = entries_of_diagnosis(diagnosis, problem, state, most)
-        proposed = proposals(diagnosis)
-        if entries or not proposed:
-            return found, entries
-    report("seeking", {"phase": "fitness with each effect"})
-    search = seek_by_fitness(problem, state, proposed)
-    ranking = [f"{entry['effect']}@{entry['location']}" for entry in search.ranking]
-    added = list(search.ranking[:1]) if search.verdict == "effect" else []
-    return found | {"from": "fitness", "verdict": search.verdict, "ranking": ranking}, added
 
 
 def _after_generation(state: State, search: GAState | None, genomes: np.ndarray, scores: np.ndarray) -> State:

@@ -15,6 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from btr_mjx.backtoreality.fitness_growth import seek_by_fitness
 from btr_mjx.backtoreality.run_state import Problem, State
 from btr_mjx.evaluation import evaluate
 from btr_mjx.gap.data import Dataset, Recording
@@ -187,6 +188,41 @@ def proposals(diagnosis: Diagnosis) -> list[FoundEffect]:
         return []
     rows = [row for row in diagnosis.ranking if row.score > 0 and not row.beside][:_MOST_PROPOSALS]
     return [FoundEffect(row.effect, row.location, row.parameters) for row in rows]
+
+
+def missing_effects(
+    problem: Problem, state: State, note: Callable[[str], None], counter: Counter
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Search recordings of the trials, or their fitness, for what the best simulation lacks.
+
+    Args:
+      problem: as it has grown so far.
+      state: with the trials.
+      note: called with a word on what is being done.
+      counter: adds up the simulated steps, see `seek`.
+
+    Returns:
+      What the search says, for `State.sought`, and what is to be added, for `State.grown`.
+    """
+    most = problem.settings.most_effects - len(state.grown)
+    record = getattr(problem.reality, "record", None) if problem.settings.grow_from == "recordings" else None
+    rows = np.flatnonzero(np.isfinite(state.trials.f_r))
+    # A diagnosis starts from a model, in which effects of a simulator would be missing again.
+    recordings = record(state.trials.controllers[rows], rows) if record and problem.robot.simulator is None else []
+    found, proposed = dict[str, Any](), list[FoundEffect]()
+    if len(recordings) >= 2:
+        diagnosis = seek(problem, state, recordings, note, counter)
+        found = {"from": "recordings", "verdict": diagnosis.verdict, "unexplained": list(diagnosis.unexplained)}
+        found["ranking"] = [f"{row.effect}@{row.location}" for row in diagnosis.ranking[:5]]
+        entries = entries_of_diagnosis(diagnosis, problem, state, most)
+        proposed = proposals(diagnosis)
+        if entries or not proposed:
+            return found, entries
+    note("fitness with each effect")
+    search = seek_by_fitness(problem, state, proposed)
+    ranking = [f"{entry['effect']}@{entry['location']}" for entry in search.ranking]
+    added = list(search.ranking[:1]) if search.verdict == "effect" else []
+    return found | {"from": "fitness", "verdict": search.verdict, "ranking": ranking}, added
 
 
 def growth_sentence(row: Mapping[str, Any]) -> str:

@@ -130,7 +130,7 @@ def _pairs_left(problem: Problem, state: State) -> int:
         left += slopes * settings.trials
     for iteration in range(state.iteration + (state.phase == "growth"), settings.iterations + 1):
         behaviours = settings.trials * (iteration if settings.behaviours == "all" else 1)
-        done = len(state.scores) if iteration == state.iteration else 0
+        done = len(state.scores) if iteration == state.iteration and state.phase != "transfer" else 0
         if iteration > state.iteration or state.phase in ("baseline", "controllers"):
             left += settings.controllers * (settings.controller_generations - done) + behaviours
             done = 0

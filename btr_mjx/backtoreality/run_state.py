@@ -133,7 +133,7 @@ class State:
       stop: the stop criterion that was met, "" before.
       grown: effects that were added to the simulator, as JSON-able values; see `growth.grown`.
       sought: growth events so far: iteration, verdict, what was added and Delta_fitness.
-      told: what the trials of the last iteration that ended tell, see `trial_information.told_by_trials`.
+      told: what the trials of the last iteration that ended tell, see `told_words.told_by_trials`.
     """
 
     phase: Phase

@@ -13,20 +13,18 @@ J'J. A difference is as wide as the interval that it gives: motion with contacts
 at a point says nothing of a simulation that is a tenth of the range away.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from statistics import NormalDist
 
 import numpy as np
 import scipy
 
-from btr_mjx.backtoreality.run_state import Problem, Trials
-from btr_mjx.backtoreality.simulation_search import compared_fitness, counting_trials
-from btr_mjx.gap.results import format_number
-from btr_mjx.robots import Box
+from btr_mjx.backtoreality.run_state import Problem
+from btr_mjx.backtoreality.simulation_search import compared_fitness
 
 SLOPE_STEPS = (0.3, 0.15, 0.075)
-"""Steps of finite differences, as shares of a number's range; each also takes the values at half of it."""
+"""Steps of finite differences, as shares of a number's range; each also takes the values at half of it. With the widest
+alone, or a narrower one, fewer true numbers are within their intervals (`benchmarks/told_numbers.py`)."""
 
 LEVEL = 0.9
 """Probability of an interval."""
@@ -43,16 +41,14 @@ _CHANCE = 0.05
 _INVOLVED = 0.1
 """Least part of a number in a direction, squared, that is said."""
 
-_PLANNED_SCATTER = 0.05
+PLANNED_SCATTER = 0.05
 """Scatter of measurements that is assumed before any, as a part of the planned controllers' fitness."""
-
 
 _PRIOR = 12.0
 """One over the variance of a number that may be anywhere in its range."""
 
-_QUANTILE = float(scipy.stats.norm.isf((1 - LEVEL) / 2))
+_QUANTILE = NormalDist().inv_cdf((1 + LEVEL) / 2)
 """Half the width of an interval, in standard errors."""
-
 
 _BEST_FIRST = 2
 """Trials that are the best controllers' in any case."""
@@ -131,7 +127,7 @@ def fitness_slopes(problem: Problem, simulation: np.ndarray, controllers: np.nda
 
     One batch of `slope_simulations` simulations. N is M times the marks; values of controllers that diverged are NaN.
     """
-    box, at = problem.simulation_box, _shares(problem, simulation)
+    box, at = problem.simulation_box, shares_of(problem, simulation)
     own = simulation[problem.robot.simulation_box.indices(problem.unknown)]
     sizes = np.array([*SLOPE_STEPS, SLOPE_STEPS[-1] / 2])
     offsets = np.concatenate([-sizes, sizes])[:, None]
@@ -198,57 +194,14 @@ def told_by(slopes: Slopes, residual: np.ndarray, at: np.ndarray, noise: float =
         size = size + smaller
 
 
-def told_by_trials(problem: Problem, simulation: np.ndarray, trials: Trials, iteration: int) -> dict[str, Any]:
-    """What the trials that step 3 compared tell of the unknown numbers, beside the simulation (n_s,) that it found.
-
-    Returns:
-      JSON-able: `intervals`, unknown number -> [low, high] in its unit, which holds the simulation's value; `told`,
-      names of those that are told, while the interval of the others is their range; `combinations`, sentences on
-      others of which only a combination is told.
-    """
-    use = counting_trials(problem, trials, iteration)
-    slopes = fitness_slopes(problem, simulation, trials.controllers[use])
-    known = 0.0
-    if problem.settings.compared == "fitness":
-        real, scale, noise = trials.f_r[use][:, None], np.ones(1), getattr(problem.reality, "noise", np.nan)
-        if getattr(problem.reality, "truth", None) is None and np.isfinite(noise):
-            known = float(noise)
-    else:
-        real = trials.f_marks[use]
-        scale = 1 / np.maximum(real.std(axis=0), np.finfo(float).tiny)
-    weight = np.tile(scale, len(real))
-    residual = (slopes.values - real.reshape(-1)) * weight
-    box = problem.simulation_box
-    told = told_by(slopes.weighted(weight), residual, _shares(problem, simulation), known)
-    ends = (told.interval * box.span + box.low).tolist()
-    return {
-        "intervals": {name: [a, b] for name, a, b in zip(box.names, *ends, strict=True)},
-        "told": _names(box, told.told),
-        "combinations": _sentences(box, told),
-    }
-
-
-def told_by_plan(problem: Problem, simulation: np.ndarray, controllers: np.ndarray) -> str:
-    """Which unknown numbers trials of controllers (M, n_c) will tell, by a simulation (n_s,), as a sentence."""
-    slopes, box = fitness_slopes(problem, simulation, controllers), problem.simulation_box
-    scatter = _PLANNED_SCATTER * np.sqrt(np.nanmean(slopes.values**2))
-    nothing = np.zeros(len(slopes.values))
-    told = told_by(slopes, nothing, _shares(problem, simulation), float(scatter))
-    known, rest = _names(box, told.told), _names(box, ~told.told)
-    text = f"the {len(controllers)} planned trials, if they scatter by {_PLANNED_SCATTER:.0%} of the fitness, "
-    text += f"can tell {_listed(known)}" if known else "can tell no unknown number"
-    text += f", not {_listed(rest)}" if known and rest else ""
-    return "; ".join([text, *_sentences(box, told)])
-
-
 def informative(problem: Problem, simulation: np.ndarray, tried: np.ndarray, candidates: np.ndarray) -> list[int]:
     """Candidates (M, n_c) by how much their trials tell, beside those tried (n, n_c): a greedy D-optimal order.
 
     The first two keep their places. Each of the others is the one with which the log-volume of what is not known falls
-    most, if measurements scatter as in `told_by_plan`.
+    most, if measurements scatter as in `told_words.told_by_plan`.
     """
     slopes = fitness_slopes(problem, simulation, np.concatenate([tried, candidates]))
-    scatter = _PLANNED_SCATTER * np.sqrt(np.nanmean(slopes.values**2))
+    scatter = PLANNED_SCATTER * np.sqrt(np.nanmean(slopes.values**2))
     variance = float(scatter**2 + slopes.rough[0].mean())
     p = slopes.slopes.shape[2]
     rows = np.nan_to_num(slopes.slopes[0]).reshape(len(tried) + len(candidates), -1, p) / np.sqrt(variance)
@@ -262,42 +215,8 @@ def informative(problem: Problem, simulation: np.ndarray, tried: np.ndarray, can
     return order
 
 
-def told_sentence(told: Mapping[str, Any], box: Box) -> str:
-    """What trials tell, of a record of `told_by_trials` and the box of the unknown numbers."""
-    parts = []
-    for name in told["told"]:
-        low, high = (format_number(value) for value in told["intervals"][name])
-        parts.append(f"{name} {low} to {high} {box.units[box.index(name)]}".rstrip())
-    rest = [name for name in told["intervals"] if name not in told["told"]]
-    text = f"told by the trials ({LEVEL:.0%}): {', '.join(parts) or 'nothing'}"
-    return "; ".join([text, *([f"not told: {', '.join(rest)}"] if rest else []), *told["combinations"]])
-
-
-def _shares(problem: Problem, simulation: np.ndarray) -> np.ndarray:
+def shares_of(problem: Problem, simulation: np.ndarray) -> np.ndarray:
     """(p,) the unknown numbers of a simulation (n_s,), as shares of their ranges."""
     box = problem.simulation_box
     own: np.ndarray = simulation[problem.robot.simulation_box.indices(problem.unknown)]
     return (own - box.low) / box.span
-
-
-def _names(box: Box, chosen: np.ndarray) -> list[str]:
-    return [name for name, own in zip(box.names, chosen, strict=True) if own]
-
-
-def _sentences(box: Box, told: Told) -> list[str]:
-    out = []
-    for own, directions in told.combinations().items():
-        names = [box.names[i] for i in own]
-        if len(own) == 2 and len(directions) == 1:
-            first, second = directions[0] / box.span[list(own)]
-            sign = "+" if first * second > 0 else "-"
-            out.append(f"only {names[0]} {sign} {abs(second / first):.2g} × {names[1]} is told")
-        else:
-            count = "one combination" if len(directions) == 1 else f"{len(directions)} combinations"
-            verb = "is" if len(directions) == 1 else "are"
-            out.append(f"only {count} of {_listed(names)} {verb} told")
-    return out
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

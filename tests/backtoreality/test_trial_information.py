@@ -8,16 +8,8 @@ import pytest
 
 from btr_mjx.backtoreality import CoevolveConfig, Problem, build_problem
 from btr_mjx.backtoreality.run_state import Trials
-from btr_mjx.backtoreality.trial_information import (
-    SLOPE_STEPS,
-    Slopes,
-    fitness_slopes,
-    informative,
-    told_by,
-    told_by_plan,
-    told_by_trials,
-    told_sentence,
-)
+from btr_mjx.backtoreality.told_words import told_by_plan, told_by_trials, told_sentence
+from btr_mjx.backtoreality.trial_information import SLOPE_STEPS, Slopes, fitness_slopes, informative, told_by
 from btr_mjx.evaluation import FitnessFunction, Outcome
 from btr_mjx.robots import Pairs, Robot
 
@@ -107,7 +99,7 @@ def test_only_the_sum_of_two_numbers_is_told() -> None:
     for name, low, span in zip(made.unknown, LOW, SPAN, strict=True):
         np.testing.assert_allclose(told["intervals"][name], [low, low + span])
     text = told_sentence(told, made.simulation_box)
-    assert text.startswith("told by the trials (90%): nothing; not told: ball mass, elbow damping; only")
+    assert text.startswith("told by the trials (90 %): nothing; not told: ball mass, elbow damping; only")
     controllers = trials_of(made, at, 8).controllers
     assert "can tell no unknown number; only ball mass + 0.5 ×" in told_by_plan(made, at, controllers)
     assert "can tell ball mass and elbow damping" in told_by_plan(problem(Parabola()), at, controllers)
