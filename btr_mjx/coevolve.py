@@ -40,7 +40,6 @@ from btr_mjx.backtoreality import (
     inputs_of,
     run_in_folder,
     setting_of_robot,
-    similar_ranges,
     summarise,
     summary_table,
     typed_settings,
@@ -107,7 +106,6 @@ def run_config(
         with folder as run, graceful_interrupt() as stop:
             state = run_in_folder(problem, run, stop, config.progress, config.wait)
             result = summarise(problem, state)
-            result["similar_range"] = similar_ranges(run.path, result)
             write_arrays(run.path / "trials.npz", vars(state.trials))
             write_json(run.path / "result.json", result)
             export_simulation(run.path, problem, state)

@@ -25,7 +25,7 @@ from btr_mjx.backtoreality.resumable import inputs_of, run_in_folder
 from btr_mjx.backtoreality.run_exports import export_coevolution, export_simulation
 from btr_mjx.backtoreality.run_state import Problem, Progress, State
 from btr_mjx.backtoreality.settings import BTRSettings, SearchSettings
-from btr_mjx.backtoreality.summary import bound_words, prediction_errors, similar_ranges, summarise, summary_table
+from btr_mjx.backtoreality.summary import bound_words, prediction_errors, summarise, summary_table, value_note
 
 __all__ = [
     "PRESETS",
@@ -59,8 +59,8 @@ __all__ = [
     "run_scan",
     "select_transferable",
     "setting_of_robot",
-    "similar_ranges",
     "summarise",
     "summary_table",
     "typed_settings",
+    "value_note",
 ]

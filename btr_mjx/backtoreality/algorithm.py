@@ -21,21 +21,29 @@ import numpy as np
 
 from btr_mjx.backtoreality import simulation_search
 from btr_mjx.backtoreality.controller_search import select_transferable
-from btr_mjx.backtoreality.fitness_growth import seek_by_fitness
 from btr_mjx.backtoreality.grown import grown
-from btr_mjx.backtoreality.growth import calibration_delta, entries_of_diagnosis, proposals, seek
+from btr_mjx.backtoreality.growth import calibration_delta, missing_effects
 from btr_mjx.backtoreality.run_state import Phase, Problem, State, Trials
-from btr_mjx.backtoreality.simulation_search import delta_of_simulations, genetic_algorithm, whole_trial_delta
+from btr_mjx.backtoreality.simulation_search import (
+    counting_trials,
+    delta_of_simulations,
+    genetic_algorithm,
+    whole_trial_delta,
+)
+from btr_mjx.backtoreality.told_words import told_by_plan, told_by_trials, told_sentence
+from btr_mjx.backtoreality.trial_information import informative
 from btr_mjx.errors import InputError
-from btr_mjx.gap.results import FoundEffect
+from btr_mjx.gap.simulate import Counter
+from btr_mjx.models import base_model
 from btr_mjx.optimise import GAState
 
 Report = Callable[[str, dict[str, Any]], None]
 """Callback for results, with their kind.
 
-It is "generation" or "iteration", with a row of a table; "growth", with an entry of `State.sought`; or "archive" at the
-end of a search, with iteration, phase, part (2 for step 3 in a simulator that grew in this iteration), and genomes
-(g, population, bits) and scores (g, population) of all generations.
+It is "generation" or "iteration", with a row of a table; "planned", with what the first trials can tell; "growth",
+with an entry of `State.sought`; "seeking", with the phase of a search for a missing effect; or "archive" at the end of
+a search, with iteration, phase, part (2 for step 3 in a simulator that grew in this iteration), and genomes (g,
+population, bits) and scores (g, population) of all generations.
 """
 
 
@@ -62,10 +70,11 @@ def begin(problem: Problem, genome: np.ndarray | None = None) -> State:
     return State("baseline", 1, start, first, trials)
 
 
-def advance(problem: Problem, state: State, report: Report | None = None) -> State:
+def advance(problem: Problem, state: State, report: Report | None = None, counter: Counter | None = None) -> State:
     """The state after the next piece of work, in phase "done" once a stop criterion is met.
 
-    `report` receives a row per generation and per iteration, see `Report`.
+    `report` receives a row per generation and per iteration, see `Report`; `counter` adds up the simulated steps of a
+    search for a missing effect.
     """
     report = report or (lambda kind, row: None)
     problem = grown(problem, state.grown)
@@ -78,7 +87,7 @@ def advance(problem: Problem, state: State, report: Report | None = None) -> Sta
     if state.phase == "simulations":
         return search_simulations(problem, state, report)
     if state.phase == "growth":
-        return seek_missing_effect(problem, state, report)
+        return seek_missing_effect(problem, state, report, counter or Counter())
     return state
 
 
@@ -107,19 +116,35 @@ def search_controllers(problem: Problem, state: State, report: Report) -> State:
     scores = problem.simulate(state.simulation[None], box.decode(genomes))[0]
     state = _after_generation(state, algorithm.tell(search, genomes, scores), genomes, scores)
     report("generation", _generation_row(state, "controllers", scores, problem.fitness.maximise))
-    if len(state.scores) == settings.generations:
-        report("archive", _archive(state, "controllers"))
-    return state if len(state.scores) < settings.generations else replace(state, phase="transfer", search=None)
+    if len(state.scores) < settings.generations:
+        return state
+    report("archive", _archive(state, "controllers"))
+    genomes, scores = _chosen(problem, state)
+    if state.iteration == 1 and len(genomes):
+        report("planned", {"told": told_by_plan(problem, state.simulation, box.decode(genomes))})
+    return replace(state, phase="transfer", search=None, genomes=genomes[None], scores=scores[None])
+
+
+def _chosen(problem: Problem, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Genomes (m, bits) of the controllers that are tried, and their fitness in simulation."""
+    settings, maximise = problem.settings, problem.fitness.maximise
+    if settings.choose == "informative":
+        last = select_transferable(state.genomes[-1:], state.scores[-1:], settings.controllers, maximise)
+        if len(last[0]) > settings.trials:
+            tried = state.trials.controllers[counting_trials(problem, state.trials, state.iteration)]
+            candidates = problem.controller_box.decode(last[0])
+            order = informative(problem, state.simulation, tried, candidates)[: settings.trials]
+            return last[0][order], last[1][order]
+    return select_transferable(state.genomes, state.scores, settings.trials, maximise)
 
 
 def test_in_reality(problem: Problem, state: State) -> State:
-    """Step 2: try the m best controllers in reality; the state after it begins the simulation search.
+    """Step 2: try the chosen controllers in reality; the state after it begins the simulation search.
 
     Raises:
       InputError: no controller is transferable, or none of the trials gave a finite fitness.
     """
-    settings = problem.settings
-    genomes, f_s = select_transferable(state.genomes, state.scores, settings.trials, problem.fitness.maximise)
+    genomes, f_s = state.genomes[0], state.scores[0]
     if not len(genomes):
         raise InputError(
             f"iteration {state.iteration}: every controller diverged in the simulation, none can be tried in reality; "
@@ -178,6 +203,7 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
     # s_(i-1) need not lie on the grid of genomes, and all simulations may have diverged.
     if after >= state.delta_before:
         simulation, after = state.simulation, state.delta_before
+    told = told_by_trials(problem, simulation, state.trials, state.iteration)
     latest = state.trials.iteration == state.iteration
     chosen = best_index(np.where(latest, state.trials.f_r, np.nan), problem.fitness.maximise)
     report(
@@ -192,6 +218,7 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
             "f_r_mean": float(np.nanmean(state.trials.f_r[latest])),
             "evaluations": len(state.trials),
             "simulation": simulation,
+            "told": told_sentence(told, problem.simulation_box),
         },
     )
     stop = ""
@@ -202,7 +229,13 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
     elif settings.max_evaluations is not None and len(state.trials) + settings.trials > settings.max_evaluations:
         stop = "max_evaluations"
     state = replace(
-        state, simulation=simulation, search=None, genomes=state.genomes[:0], scores=state.scores[:0], stop=stop
+        state,
+        simulation=simulation,
+        search=None,
+        genomes=state.genomes[:0],
+        scores=state.scores[:0],
+        stop=stop,
+        told=told,
     )
     if len(state.grown) < settings.most_effects and not _sought_here(state):
         return replace(state, phase="growth", delta_before=after)
@@ -219,17 +252,20 @@ def _next_iteration(state: State) -> State:
     return replace(state, phase=phase, iteration=state.iteration + (not state.stop), delta_before=np.nan)
 
 
-def seek_missing_effect(problem: Problem, state: State, report: Report) -> State:
+def seek_missing_effect(problem: Problem, state: State, report: Report, counter: Counter) -> State:
     """Growth: look for a missing effect where the best simulation leaves more than calibration explains.
 
     What is found becomes a dimension of S, and step 3 of the same iteration goes on in the larger S.
     """
+    steps = round(problem.robot.duration / base_model(problem.robot).opt.timestep)
+    problem = replace(problem, progress=lambda pairs: counter.add(pairs * steps))
+    report("seeking", {"phase": "errors of calibration"})
     left = float(whole_trial_delta(problem, state.simulation[None], state.trials, state.iteration)[0])
     row: dict[str, Any] = {"iteration": state.iteration, "delta_before": left, "added": []}
     row["calibration"] = calibration_delta(problem, state)
     if not left > row["calibration"]:
         return _next_iteration(replace(state, sought=(*state.sought, row | {"verdict": "within calibration"})))
-    found, entries = _missing(problem, state)
+    found, entries = missing_effects(problem, state, lambda phase: report("seeking", {"phase": phase}), counter)
     row |= found | {"added": [f"{entry['effect']}@{entry['location']}" for entry in entries]}
     report("growth", row)
     if not entries:
@@ -247,28 +283,6 @@ def seek_missing_effect(problem: Problem, state: State, report: Report) -> State
         grown=(*state.grown, *entries),
         sought=(*state.sought, row),
     )
-
-
-def _missing(problem: Problem, state: State) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """What a search for a missing effect says, for `State.sought`, and what is to be added, for `State.grown`."""
-    most = problem.settings.most_effects - len(state.grown)
-    record = getattr(problem.reality, "record", None) if problem.settings.grow_from == "recordings" else None
-    rows = np.flatnonzero(np.isfinite(state.trials.f_r))
-    # A diagnosis starts from a model, in which effects of a simulator would be missing again.
-    recordings = record(state.trials.controllers[rows], rows) if record and problem.robot.simulator is None else []
-    found, proposed = dict[str, Any](), list[FoundEffect]()
-    if len(recordings) >= 2:
-        diagnosis = seek(problem, state, recordings, problem.seed)
-        found = {"from": "recordings", "verdict": diagnosis.verdict, "unexplained": list(diagnosis.unexplained)}
-        found["ranking"] = [f"{row.effect}@{row.location}" for row in diagnosis.ranking[:5]]
-        entries = entries_of_diagnosis(diagnosis, problem, state, most)
-        proposed = proposals(diagnosis)
-        if entries or not proposed:
-            return found, entries
-    search = seek_by_fitness(problem, state, proposed)
-    ranking = [f"{entry['effect']}@{entry['location']}" for entry in search.ranking]
-    added = list(search.ranking[:1]) if search.verdict == "effect" else []
-    return found | {"from": "fitness", "verdict": search.verdict, "ranking": ranking}, added
 
 
 def _after_generation(state: State, search: GAState | None, genomes: np.ndarray, scores: np.ndarray) -> State:

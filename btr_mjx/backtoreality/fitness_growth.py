@@ -253,7 +253,14 @@ def _entry(competitor: _Competitor, iteration: int, before: float, after: float)
 
 def _fitness(problem: Problem, simulations: np.ndarray, controllers: np.ndarray) -> np.ndarray:
     """Fitness (L, M); in native MuJoCo, since every candidate would be another program to compile."""
-    return evaluate(problem.robot, simulations, controllers, fitness=problem.fitness, engine="native").fitness
+    return evaluate(
+        problem.robot,
+        simulations,
+        controllers,
+        fitness=problem.fitness,
+        engine="native",
+        progress=problem.progress,
+    ).fitness
 
 
 def _scales(problem: Problem, simulation: np.ndarray, controllers: np.ndarray) -> Scales:

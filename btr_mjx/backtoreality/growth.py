@@ -6,21 +6,23 @@ leave. Where it is more, recordings of the trials are searched for the effect th
 S as wide as their intervals, and step 3 goes on in the larger S.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from btr_mjx.backtoreality.fitness_growth import seek_by_fitness
 from btr_mjx.backtoreality.run_state import Problem, State
 from btr_mjx.evaluation import evaluate
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.inference import identify
-from btr_mjx.gap.results import Diagnosis, EffectEdit, FoundEffect, hypothesis_in_words, resolve_effect
-from btr_mjx.gap.simulate import World, differing_fields
+from btr_mjx.gap.results import Diagnosis, FoundEffect, hypothesis_in_words, resolve_effect, write_world
+from btr_mjx.gap.simulate import Counter, World, differing_fields
 from btr_mjx.models import PathParameter, general_model, read_field, write_field
 from btr_mjx.robots import Robot
 
@@ -46,14 +48,15 @@ class Calibration:
 
     def __call__(self, model: Any, values: Sequence[float]) -> None:
         """Add errors of one standard deviation to whatever calibration leaves."""
-        rng = np.random.default_rng([97, self.draw])
+        rng, world = np.random.default_rng([97, self.draw]), World.of(model)
         for candidate in candidates(model, Scales.of(model), EFFECTS):
             first = candidate.parameters[0]
             if first.tolerance > 0 and not candidate.place.members:
                 size = first.null + first.tolerance * rng.normal()
                 numbers = candidate.null
                 numbers[0] = np.clip(size, first.low, first.high)
-                EffectEdit(candidate.effect, candidate.place, ())(model, numbers.tolist())
+                candidate.apply(world, numbers)
+        write_world(model, world)
 
 
 @dataclass(frozen=True)
@@ -74,12 +77,17 @@ class _Unknown(PathParameter):
 
     def write(self, model: mujoco.MjModel, value: float) -> None:
         """Add what changes between the simulation and one with another value."""
-        here = np.array(self.simulation)
-        there = here.copy()
+        there = np.array(self.simulation)
         there[self.robot.simulation_box.index(self.name)] = value
-        before, after = (World.of(general_model(self.robot, s)) for s in (here, there))
-        for name, own in differing_fields(after, before.model).items():
-            write_field(model, name, read_field(model, name) + own - read_field(before.model, name))
+        before, after = _model_at(self.robot, self.simulation), World.of(general_model(self.robot, there))
+        for name, own in differing_fields(after, before).items():
+            write_field(model, name, read_field(model, name) + own - read_field(before, name))
+
+
+@lru_cache(maxsize=4)
+def _model_at(robot: Robot, simulation: tuple[float, ...]) -> mujoco.MjModel:
+    """The model of a simulation (shared: do not edit it)."""
+    return World.of(general_model(robot, np.array(simulation))).model
 
 
 def unknown_parameters(problem: Problem, simulation: np.ndarray) -> tuple[PathParameter, ...]:
@@ -95,17 +103,40 @@ def calibration_delta(problem: Problem, state: State) -> float:
     """Delta_fitness that errors of calibration alone leave over the present trials; the median of a few draws."""
     rows = np.isfinite(state.trials.f_r)
     controllers = state.trials.controllers[rows]
-    own = evaluate(problem.robot, state.simulation, controllers, fitness=problem.fitness, engine="native").fitness[0]
-    left = []
-    for draw in range(_DRAWS):
-        robot = replace(problem.robot, edits=(*problem.robot.edits, Calibration(draw)))
-        other = evaluate(robot, state.simulation, controllers, fitness=problem.fitness, engine="native").fitness[0]
-        left.append(float(np.nanmean(np.abs(other - own))))
-    return float(np.median(left))
+    edits = [(), *((Calibration(draw),) for draw in range(_DRAWS))]
+    own, *others = (
+        evaluate(
+            replace(problem.robot, edits=(*problem.robot.edits, *added)),
+            state.simulation,
+            controllers,
+            fitness=problem.fitness,
+            engine="native",
+            progress=problem.progress,
+        ).fitness[0]
+        for added in edits
+    )
+    return float(np.median([np.nanmean(np.abs(other - own)) for other in others]))
 
 
-def seek(problem: Problem, state: State, recordings: Sequence[Recording], seed: int) -> Diagnosis:
-    """Diagnose what the best simulation lacks, from recordings of trials in their order; the last third is held out."""
+def seek(
+    problem: Problem,
+    state: State,
+    recordings: Sequence[Recording],
+    note: Callable[[str], None] | None = None,
+    counter: Counter | None = None,
+) -> Diagnosis:
+    """Diagnose what the best simulation lacks, from recordings of trials.
+
+    Args:
+      problem: the problem.
+      state: with the best simulation.
+      recordings: in the order of the trials; the last third is held out.
+      note: called with a word on what is being done.
+      counter: adds up the simulated steps, see `identify`.
+
+    Returns:
+      The diagnosis.
+    """
     model = general_model(problem.robot, state.simulation)
     used = recordings[-_MOST_RECORDINGS:]
     held_out = max(1, len(used) // 3)
@@ -113,7 +144,7 @@ def seek(problem: Problem, state: State, recordings: Sequence[Recording], seed: 
     # What is searched in S may move along with an effect.
     believed = unknown_parameters(problem, state.simulation)
     data = Dataset(Path(), model, Path("robot.xml"), "", believed, tuple(split), "cubic")
-    return identify(data, seed=seed)
+    return identify(data, seed=problem.seed, progress=note, counter=counter)
 
 
 def entries_of_diagnosis(diagnosis: Diagnosis, problem: Problem, state: State, most: int) -> list[dict[str, Any]]:
@@ -157,6 +188,41 @@ def proposals(diagnosis: Diagnosis) -> list[FoundEffect]:
         return []
     rows = [row for row in diagnosis.ranking if row.score > 0 and not row.beside][:_MOST_PROPOSALS]
     return [FoundEffect(row.effect, row.location, row.parameters) for row in rows]
+
+
+def missing_effects(
+    problem: Problem, state: State, note: Callable[[str], None], counter: Counter
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Search recordings of the trials, or their fitness, for what the best simulation lacks.
+
+    Args:
+      problem: as it has grown so far.
+      state: with the trials.
+      note: called with a word on what is being done.
+      counter: adds up the simulated steps, see `seek`.
+
+    Returns:
+      What the search says, for `State.sought`, and what is to be added, for `State.grown`.
+    """
+    most = problem.settings.most_effects - len(state.grown)
+    record = getattr(problem.reality, "record", None) if problem.settings.grow_from == "recordings" else None
+    rows = np.flatnonzero(np.isfinite(state.trials.f_r))
+    # A diagnosis starts from a model, in which effects of a simulator would be missing again.
+    recordings = record(state.trials.controllers[rows], rows) if record and problem.robot.simulator is None else []
+    found, proposed = dict[str, Any](), list[FoundEffect]()
+    if len(recordings) >= 2:
+        diagnosis = seek(problem, state, recordings, note, counter)
+        found = {"from": "recordings", "verdict": diagnosis.verdict, "unexplained": list(diagnosis.unexplained)}
+        found["ranking"] = [f"{row.effect}@{row.location}" for row in diagnosis.ranking[:5]]
+        entries = entries_of_diagnosis(diagnosis, problem, state, most)
+        proposed = proposals(diagnosis)
+        if entries or not proposed:
+            return found, entries
+    note("fitness with each effect")
+    search = seek_by_fitness(problem, state, proposed)
+    ranking = [f"{entry['effect']}@{entry['location']}" for entry in search.ranking]
+    added = list(search.ranking[:1]) if search.verdict == "effect" else []
+    return found | {"from": "fitness", "verdict": search.verdict, "ranking": ranking}, added
 
 
 def growth_sentence(row: Mapping[str, Any]) -> str:

@@ -1,7 +1,10 @@
 """Co-evolution in a run folder: saved after every piece of work, resumable from the last checkpoint."""
 
 import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +14,9 @@ from btr_mjx.backtoreality.algorithm import Report, advance, begin
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.reality import SimulatedReality, Waiting
-from btr_mjx.backtoreality.run_state import Problem, State, state_from_arrays, state_to_arrays
+from btr_mjx.backtoreality.run_state import Phase, Problem, State, state_from_arrays, state_to_arrays
+from btr_mjx.backtoreality.trial_information import slope_simulations
+from btr_mjx.gap.simulate import Journal, followed_search
 from btr_mjx.models import robot_digest
 from btr_mjx.runs import RunFolder, StopRequest, content_digest, note, progress, say_progress, write_arrays
 
@@ -35,13 +40,20 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
 
     first = step
 
-    def report(kind: str, row: dict[str, Any]) -> None:
+    def report(say: Callable[[str], None] | None, kind: str, row: dict[str, Any]) -> None:
         if kind == "archive":
             run.add_file(_write_archive(run.path, grown(problem, state.grown), row))
         elif kind == "growth":
             note(growth_sentence(row))
+        elif kind == "planned":
+            note(f"before the first trials: {row['told']}")
+        elif kind == "seeking":
+            assert say is not None
+            say(row["phase"])
         else:
             tables[kind].append(row)
+            if kind == "iteration":
+                note(f"iteration {row['iteration']}: {row['told']}")
 
     show = show and state.phase != "done"
     with progress(total=_pairs_left(problem, state), description="pairs", unit="pairs", show=show) as bar:
@@ -51,21 +63,33 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
             # Programs are compiled in the first controller's trial and the first generation: their rate says nothing.
             compiling = phase == "baseline" or (phase == "controllers" and step <= first + 1)
             say_progress(bar, f"{text} (compiling)" if compiling else text, numbers=not compiling)
-            state = _advanced(problem, state, report, stop, bar if wait else None)
+            with _journal_of(run.path / _JOURNAL, phase, stop, show) as (journal, say):
+                state = _advanced(problem, state, partial(report, say), stop, bar if wait else None, journal)
             if phase == "simulations" != state.phase:  # the search may have converged early, or a target is met
                 bar.total = bar.n + _pairs_left(problem, state)
             run.save_checkpoint(step, *state_to_arrays(state))
+            if journal is not None:
+                journal.close()
             step += 1
             stop.checkpoint()
     return state
 
 
-def _advanced(problem: Problem, state: State, report: Report, stop: StopRequest, bar: Any) -> State:
+def _journal_of(
+    folder: Path, phase: Phase, stop: StopRequest, show: bool
+) -> AbstractContextManager[tuple[Journal | None, Callable[[str], None] | None]]:
+    """The journal of a search for a missing effect, which stops anywhere, and its progress; nothing in other phases."""
+    return followed_search(folder, stop.checkpoint, show=show) if phase == "growth" else nullcontext((None, None))
+
+
+def _advanced(
+    problem: Problem, state: State, report: Report, stop: StopRequest, bar: Any, journal: Journal | None
+) -> State:
     """The next state; measurements that are missing are waited for where there is a bar that can say so."""
     told: tuple[Any, ...] = ()
     while True:
         try:
-            return advance(problem, state, report)
+            return advance(problem, state, report, journal)
         except Waiting as waiting:
             if bar is None:
                 raise
@@ -79,6 +103,9 @@ def _advanced(problem: Problem, state: State, report: Report, stop: StopRequest,
         stop.checkpoint()
         time.sleep(_POLL)
 
+
+_JOURNAL = "search"
+"""Folder of what a search for a missing effect has simulated, from which a resumed run goes on."""
 
 _POLL = 0.5
 """Time between two looks at the exchange folder [s]."""
@@ -98,13 +125,16 @@ def _pairs_left(problem: Problem, state: State) -> int:
     if state.phase == "done":
         return 0
     left = 0 if state.phase != "baseline" else 1
+    slopes = slope_simulations(problem)
+    if state.iteration == 1 and state.phase in ("baseline", "controllers"):
+        left += slopes * settings.trials
     for iteration in range(state.iteration + (state.phase == "growth"), settings.iterations + 1):
         behaviours = settings.trials * (iteration if settings.behaviours == "all" else 1)
-        done = len(state.scores) if iteration == state.iteration else 0
+        done = len(state.scores) if iteration == state.iteration and state.phase != "transfer" else 0
         if iteration > state.iteration or state.phase in ("baseline", "controllers"):
             left += settings.controllers * (settings.controller_generations - done) + behaviours
             done = 0
-        left += settings.simulations * behaviours * (settings.simulation_generations - done)
+        left += settings.simulations * behaviours * (settings.simulation_generations - done) + slopes * behaviours
     return left
 
 

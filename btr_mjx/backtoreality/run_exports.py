@@ -4,6 +4,7 @@ from pathlib import Path
 
 from btr_mjx.backtoreality.grown import grown, number_name
 from btr_mjx.backtoreality.run_state import Problem, State
+from btr_mjx.backtoreality.summary import NOT_TOLD
 from btr_mjx.exports import ExportedParameter, write_exports
 from btr_mjx.gap.results import simulation_mjcf
 from btr_mjx.runs import read_json, write_json, write_text
@@ -24,9 +25,6 @@ def export_simulation(folder: Path, problem: Problem, state: State) -> None:
 def export_coevolution(folder: Path) -> None:
     """Write the exports of a run folder that holds result.json, see `btr_mjx.exports`.
 
-    A co-evolution gives values without intervals: the extent of the simulations that its trials cannot tell from the
-    best one is an extent of what was tried, and need not hold the truth.
-
     Raises:
       DamagedFile: result.json was altered.
       OSError: a file cannot be read or written.
@@ -37,6 +35,9 @@ def export_coevolution(folder: Path) -> None:
     parameters = []
     for name, value in result["simulation"].items():
         also = f"; needs {left.name} in a simulation" if name in beside else ""
-        origin, unit = f"best of the last simulation search{also}", result["space"][name]["unit"]
-        parameters.append(ExportedParameter(name, unit, float(value), None, None, origin))
+        origin, unit = f"best of the last simulation search; 90 % interval{also}", result["space"][name]["unit"]
+        low, high = result["told"]["intervals"][name]
+        if name not in result["told"]["told"]:
+            origin += f"; {NOT_TOLD}"
+        parameters.append(ExportedParameter(name, unit, float(value), low, high, origin))
     write_exports(folder, parameters)

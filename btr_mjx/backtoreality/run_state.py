@@ -127,12 +127,13 @@ class State:
       genome: (bits,) of c_(i-1), from which step 1 starts.
       trials: all evaluations in reality.
       search: state of the present search, None between searches.
-      genomes: (g, population, bits) all generations of the present search.
+      genomes: (g, population, bits) all generations of the present search; (1, m, bits) the chosen ones before trials.
       scores: (g, population) their fitness or distance.
       delta_before: the distance of s_(i-1) over the behaviours of iteration i.
       stop: the stop criterion that was met, "" before.
       grown: effects that were added to the simulator, as JSON-able values; see `growth.grown`.
       sought: growth events so far: iteration, verdict, what was added and Delta_fitness.
+      told: what the trials of the last iteration that ended tell, see `told_words.told_by_trials`.
     """
 
     phase: Phase
@@ -147,6 +148,7 @@ class State:
     stop: str = ""
     grown: tuple[dict[str, Any], ...] = ()
     sought: tuple[dict[str, Any], ...] = ()
+    told: Mapping[str, Any] = field(default_factory=dict)
 
 
 def state_to_arrays(state: State) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -161,7 +163,7 @@ def state_to_arrays(state: State) -> tuple[dict[str, np.ndarray], dict[str, Any]
     }
     if state.search is not None:
         arrays |= {f"search/{name}": value for name, value in ga_state_to_arrays(state.search).items()}
-    named = {name: list(getattr(state, name)) for name in ("grown", "sought")}
+    named = {name: list(getattr(state, name)) for name in ("grown", "sought")} | {"told": dict(state.told)}
     return arrays, {"phase": state.phase, "iteration": state.iteration, "stop": state.stop, **named}
 
 
@@ -184,4 +186,5 @@ def state_from_arrays(arrays: Mapping[str, np.ndarray], values: Mapping[str, Any
         stop=values["stop"],
         grown=tuple(values["grown"]),
         sought=tuple(values["sought"]),
+        told=values["told"],
     )

@@ -81,6 +81,9 @@ class BTRSettings:
     """At most so many iterations of Back-to-Reality."""
     trials: int = 10
     """m, controllers tried in reality per iteration."""
+    choose: Literal["best", "informative"] = "best"
+    """Which controllers are tried: the best of the last generation, or the two best and those of it that tell most of
+    the unknown parameters."""
     max_evaluations: int | None = None
     """Stop before exceeding so many evaluations in reality."""
     target_delta: float | None = None

@@ -74,28 +74,34 @@ def delta_of_simulations(problem: Problem, simulations: np.ndarray, trials: Tria
     """
     if problem.settings.compared == "fitness":
         return whole_trial_delta(problem, simulations, trials, iteration)
-    use = _counting(problem, trials, iteration)
+    use = counting_trials(problem, trials, iteration)
+    return multiscale_fitness(compared_fitness(problem, simulations, trials.controllers[use]), trials.f_marks[use])
+
+
+def compared_fitness(problem: Problem, simulations: np.ndarray, controllers: np.ndarray) -> np.ndarray:
+    """Fitness (L, M, K) that step 3 compares: of whole trials, K = 1, or at each mark; NaN where a pair diverged."""
+    if problem.settings.compared == "fitness":
+        return problem.simulate(simulations, controllers)[..., None]
     evaluation = evaluate(
         problem.robot,
         simulations,
-        trials.controllers[use],
+        controllers,
         engine=problem.engine,
         fitness=problem.fitness,
         times=problem.settings.marks,
         progress=problem.progress,
     )
     at_marks = fitness_at_marks(evaluation.outcome, problem.fitness)
-    f_s = np.where(evaluation.diverged[..., None], np.nan, at_marks)
-    return multiscale_fitness(f_s, trials.f_marks[use])
+    return np.where(evaluation.diverged[..., None], np.nan, at_marks)
 
 
 def whole_trial_delta(problem: Problem, simulations: np.ndarray, trials: Trials, iteration: int) -> np.ndarray:
     """Delta_fitness (eq. 4), also if step 3 minimises another distance; arguments as of `delta_of_simulations`."""
-    use = _counting(problem, trials, iteration)
+    use = counting_trials(problem, trials, iteration)
     return delta_fitness_of(problem.simulate(simulations, trials.controllers[use]), trials.f_r[use])
 
 
-def _counting(problem: Problem, trials: Trials, iteration: int) -> np.ndarray:
+def counting_trials(problem: Problem, trials: Trials, iteration: int) -> np.ndarray:
     """Trials that are compared in an iteration, bool (n,)."""
     first = iteration if problem.settings.behaviours == "latest" else 1
     return (trials.iteration >= first) & (trials.iteration <= iteration) & np.isfinite(trials.f_r)

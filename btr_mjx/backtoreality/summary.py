@@ -12,12 +12,11 @@ from btr_mjx.backtoreality.run_state import Problem, State
 from btr_mjx.backtoreality.simulation_search import whole_trial_delta
 from btr_mjx.evaluation import learning_performance
 from btr_mjx.gap.results import format_number
-from btr_mjx.runs import read_arrays
-
-_SIMILAR = 2.0
-"""Largest distance of a simulation that counts as fitting similarly well, over the least one."""
 
 _DISTANCES = {"fitness": "Delta_fitness", "multiscale": "the multiscale distance"}
+
+NOT_TOLD = "not told by these trials"
+"""What stands beside a number that has its range in place of an interval."""
 
 _AT_BOUND = 0.005
 """Part of its range within which a value counts as being at the bound."""
@@ -32,7 +31,8 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
       behaviours of iteration 1, and of the last simulation over those it was fitted to. parameter_error_first and
       _last: mean absolute error of the unknown parameters, None for a reality that is not simulated. The fitness
       function's name, unit and direction; bounds and units of the unknown parameters (space). reality_evaluations, lp
-      (learning performance) and its terms, the simulation, the best controller, the stop criterion that was met, and
+      (learning performance) and its terms, the simulation, what the trials tell of it (told, see
+      `told_words.told_by_trials`), the best controller, the stop criterion that was met, and
       the noise of a single measurement where trials were measured more than once.
     """
     original, problem = problem, grown(problem, state.grown)
@@ -86,6 +86,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
         "start": values(problem.start),
         "simulation": values(state.simulation),
         "truth": None if truth is None else dict(zip(original.unknown, np.array(truth)[known].tolist(), strict=True)),
+        "told": dict(state.told),
         "growth": list(state.sought),
         "effects": list(state.grown),
         "best_controller": trials.controllers[best].tolist(),
@@ -99,30 +100,18 @@ def prediction_errors(f_s: np.ndarray, f_r: np.ndarray, iteration: np.ndarray) -
     return np.array([values.mean() if len(values) else np.nan for values in own])
 
 
-def similar_ranges(folder: Path, result: dict[str, Any]) -> dict[str, list[float]]:
-    """What the trials leave open: extent of the simulations that fit them nearly as well as the identified one.
-
-    Of the last search of step 3, since distances to other trials cannot be compared. It is no confidence interval: it
-    depends on what was tried.
-
-    Returns:
-      Unknown parameter -> [lowest, highest] value among all simulations tried whose distance is at most twice the
-      least, and the identified one.
-    """
-    archives = [read_arrays(path) for path in folder.glob(f"simulations-{result['iterations']:03d}*.npz")]
-    archive = max(archives, key=lambda arrays: len(arrays["names"]))  # the search after a growth has more numbers
-    scores = np.where(np.isnan(archive["delta_fitness"]), np.inf, archive["delta_fitness"])
-    tried = archive["parameters"][scores <= _SIMILAR * scores.min()]
-    identified = [result["simulation"][str(name)] for name in archive["names"]]
-    rows = np.concatenate([tried.reshape(-1, len(identified)), [identified]])
-    ends = zip(rows.min(axis=0).tolist(), rows.max(axis=0).tolist(), strict=True)
-    return {str(name): [low, high] for name, (low, high) in zip(archive["names"], ends, strict=True)}
-
-
 def bound_words(value: float, low: float, high: float) -> str:
     """Which bound of its range a value is at; "" for none."""
     near = _AT_BOUND * (high - low)
     return "at its lower bound" if value <= low + near else "at its upper bound" if value >= high - near else ""
+
+
+def value_note(result: dict[str, Any], name: str) -> str:
+    """What is to be said of an identified value beside its interval; "" for nothing."""
+    space = result["space"][name]
+    words = [] if name in result["told"]["told"] else [NOT_TOLD]
+    bound = bound_words(result["simulation"][name], space["low"], space["high"])
+    return ", ".join([*words, *([bound] if bound else [])])
 
 
 def summary_table(result: dict[str, Any], out: Path) -> str:
@@ -138,20 +127,16 @@ def summary_table(result: dict[str, Any], out: Path) -> str:
     fitted = f"{format_number(result['delta_fitness_last'], 4)}{unit}"
     lines.append(f"fitted: Delta_fitness of the final simulation, over the trials it was fitted to: {fitted}")
     lines.append("")
-    lines.append(f"{'parameter':34}{'start':>11}{'identified':>11}  {'similar fit from, to':>21}{'truth':>11}")
+    known = f"{'truth':>11}" if result["truth"] else ""
+    lines.append(f"{'parameter':34}{'start':>11}{'identified':>11}  {'90 % interval':>21}{known}")
     for name, value in result["simulation"].items():
         space, truth = result["space"][name], (result["truth"] or {}).get(name)
         label = f"{name} [{space['unit']}]" if space["unit"] else name
-        low, high = result["similar_range"][name]
+        low, high = result["told"]["intervals"][name]
         line = f"{label:34}{result['start'][name]:11.4g}{value:11.4g}  {low:10.4g} {high:10.4g}"
-        line += (
-            f"{'' if truth is None else format(truth, '.4g'):>11}  {bound_words(value, space['low'], space['high'])}"
-        )
+        line += f"{'' if truth is None else format(truth, '.4g'):>11}  {value_note(result, name)}"
         lines.append(line.rstrip())
-    lines.append(
-        "similar fit: simulations tried in the last step 3 whose distance is at most twice the least; no confidence "
-        "interval"
-    )
+    lines += result["told"]["combinations"]
     lines += ["", *map(growth_sentence, result["growth"])] if result["growth"] else []
     lines.append("")
     lines.append(f"step 3 minimised {_DISTANCES[result['distance']]} (--distance)")

@@ -4,8 +4,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from btr_mjx.runs import progress
-
 if TYPE_CHECKING:
     from btr_mjx.gap.data import Dataset
     from btr_mjx.gap.effects import Effect
@@ -48,23 +46,10 @@ def search_missing(
     from btr_mjx.gap.forces import identify_changes
     from btr_mjx.gap.inference import identify
     from btr_mjx.gap.results import as_result, before_entry, save_diagnosis, save_quantities
-    from btr_mjx.gap.simulate import Journal
+    from btr_mjx.gap.simulate import followed_search
 
-    # How many steps a search in recordings takes is known at its end only; robots differ tenfold.
     total = round(expected_steps(dataset, library)) if isinstance(dataset, FitnessTable) else None
-    with progress(total=total, description="search", unit="steps", unit_scale=True, show=show) as bar:
-
-        def report_stage(stage: str) -> None:
-            bar.set_description(stage)
-            checkpoint()
-
-        def count(steps: int) -> None:
-            if bar.total is not None and steps > bar.total:
-                bar.total = None  # more than was estimated: nothing is known of the time left
-            bar.update(steps - bar.n)
-            checkpoint()
-
-        journal = Journal(folder / JOURNAL, count, code)
+    with followed_search(folder / JOURNAL, checkpoint, total=total, code=code, show=show) as (journal, report_stage):
         more: dict[str, Any] = {"seed": seed, "signal": "trajectory"}
         if isinstance(dataset, FitnessTable):
             diagnosis, data = identify_fitness(dataset, library, report_stage, counter=journal), dataset.head
@@ -86,6 +71,5 @@ def search_missing(
                 )
             report_stage("next experiment")
             proposal = propose(diagnosis, dataset, seed, counter=journal)
-        bar.total = bar.n
     save_diagnosis(diagnosis, data, folder, effects=sum(of_forces(library), ()), next_experiment=proposal, more=more)
     journal.close()

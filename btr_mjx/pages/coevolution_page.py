@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.backtoreality import bound_words, growth_sentence, prediction_errors
+from btr_mjx.backtoreality import growth_sentence, prediction_errors, value_note
 from btr_mjx.evaluation import metrics
 from btr_mjx.gap.results import format_number
 from btr_mjx.pages.page import embedded
@@ -171,35 +171,31 @@ def _count(number: int, word: str) -> str:
     return f"{number} {word}{'' if number == 1 else 's'}"
 
 
-SIMILAR_NOTE = (
-    "Similar fit: extent of the simulations tried in the last step 3 whose distance from the fitted trials is at most "
-    "twice the least. It is no confidence interval: it depends on what was tried, and need not hold the truth. Where "
-    "it is wide, these trials do not determine the parameter: make more trials, or search with --optimiser cma "
-    "--simulation-generations 30."
+TOLD_NOTE = (
+    "Interval: 90 %, from how the fitness of the fitted trials changes with each parameter and from how far it is from "
+    "the measured one. Where it would be more than half of the range, the parameter is not told by these trials and "
+    "its range is given: other motions, more trials or repeated measurements are needed."
 )
-"""What the column of similar fits is."""
+"""What the column of intervals is."""
 
 
 def _parameters(run: RunData) -> Table:
-    columns = ["parameter", "start", "identified", "similar fit", "lowest", "highest", "unit", "note"]
-    ranges = run.result.get("similar_range", {})
+    columns = ["parameter", "start", "identified", "interval", "lowest", "highest", "unit", "note"]
+    told = run.result["told"]
     rows: list[list[Any]] = []
     for i, name in enumerate(run.box.names):
         value, low, high = float(run.identified[i]), float(run.box.low[i]), float(run.box.high[i])
-        similar = (
-            "\N{NO-BREAK SPACE}to\N{NO-BREAK SPACE}".join(format_number(end, 4) for end in ranges[name])
-            if name in ranges
-            else None
-        )
-        row = [name, float(run.start[i]), value, similar]
+        ends = (format_number(end, 4) for end in told["intervals"][name])
+        row = [name, float(run.start[i]), value, "\N{NO-BREAK SPACE}to\N{NO-BREAK SPACE}".join(ends)]
         if run.truth is not None:
             row += [float(run.truth[i]), float(value - run.truth[i])]
-        rows.append([*row, low, high, run.box.units[i], bound_words(value, low, high)])
+        rows.append([*row, low, high, run.box.units[i], value_note(run.result, name)])
     if run.truth is not None:
         columns[4:4] = ["truth", "error"]
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], [row[:-1] for row in rows]
-    return Table(columns, rows, f"Lowest, highest: bounds of the search. {SIMILAR_NOTE}")
+    sentences = [f"{one[0].upper()}{one[1:]}." for one in told["combinations"]]
+    return Table(columns, rows, " ".join(["Lowest, highest: bounds of the search.", TOLD_NOTE, *sentences]))
 
 
 def _iterations(run: RunData) -> Table:

@@ -51,7 +51,7 @@ def problem(robot: Robot) -> Problem:
 
 
 def run(problem: Problem) -> tuple[State, dict[str, list[dict]]]:
-    rows: dict[str, list[dict]] = {"generation": [], "iteration": [], "archive": []}
+    rows: dict[str, list[dict]] = {"generation": [], "iteration": [], "archive": [], "planned": []}
     return btr.run_in_memory(problem, lambda kind, row: rows[kind].append(row)), rows
 
 

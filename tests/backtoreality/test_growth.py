@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from gap_results import FOUND
 
-from btr_mjx.backtoreality import CoevolveConfig, build_problem, growth, summarise
+from btr_mjx.backtoreality import CoevolveConfig, build_problem, growth, run_in_folder, summarise
 from btr_mjx.backtoreality.algorithm import advance, begin
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import (
@@ -21,10 +21,12 @@ from btr_mjx.backtoreality.growth import (
     unknown_parameters,
 )
 from btr_mjx.backtoreality.run_state import Problem, State, state_from_arrays, state_to_arrays
+from btr_mjx.errors import Interrupted
 from btr_mjx.evaluation import evaluate
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.results import Estimate, NamedEffect, RankedCandidate
 from btr_mjx.models import compile_models, general_model
+from btr_mjx.runs import RunFolder, StopRequest
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SETTINGS = CoevolveConfig(
@@ -108,6 +110,32 @@ def test_states_that_are_saved_give_the_same_result(ended: tuple[Problem, State]
     np.testing.assert_array_equal(again.simulation, state.simulation)
     assert again.grown == state.grown
     assert again.sought == state.sought
+
+
+class _Stop(StopRequest):
+    """Asks to stop in the middle of a search, once its journal holds some results."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.folder = folder
+
+    def checkpoint(self) -> None:
+        if len(list(self.folder.glob("*.npz"))) > 3:
+            raise Interrupted("stopped", 15)
+
+
+def test_a_search_that_is_stopped_goes_on_where_it_was(ended: tuple[Problem, State], tmp_path: Path) -> None:
+    made, expected = ended
+    journal = tmp_path / "run" / "search"
+    with RunFolder.create(tmp_path / "run", SETTINGS, False) as folder, pytest.raises(Interrupted):
+        run_in_folder(made, folder, _Stop(journal), False)
+    assert journal.is_dir()
+    with RunFolder.create(tmp_path / "run", SETTINGS, True) as folder:
+        state = run_in_folder(made, folder, StopRequest(), False)
+    np.testing.assert_array_equal(state.simulation, expected.simulation)
+    assert state.sought == expected.sought
+    assert state.told == expected.told
+    assert not journal.exists()
 
 
 def test_nothing_is_added_where_nothing_is_missing() -> None:

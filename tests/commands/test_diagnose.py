@@ -19,7 +19,7 @@ from hidden_cases import CaseSettings, make_case
 from btr_mjx import diagnose
 from btr_mjx.demo import cases as demo_cases
 from btr_mjx.errors import InputError
-from btr_mjx.gap import inference, simulate
+from btr_mjx.gap import inference
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS
 from btr_mjx.gap.results import Estimate, NamedEffect, place_in_words
@@ -224,7 +224,7 @@ def test_a_killed_search_goes_on(
 
         return journal(path, count, code)
 
-    monkeypatch.setattr(simulate, "Journal", killed)
+    monkeypatch.setattr("btr_mjx.gap.simulate.journal.Journal", killed)
     with pytest.raises(SystemExit):
         diagnose.main([*argv, "--out", str(run)])
     saved = {path: path.stat().st_mtime_ns for path in (run / "search").iterdir()}
@@ -240,7 +240,7 @@ def test_a_killed_search_goes_on(
 
         return journal(path, count, code)
 
-    monkeypatch.setattr(simulate, "Journal", watched)
+    monkeypatch.setattr("btr_mjx.gap.simulate.journal.Journal", watched)
     diagnose.main([*argv, "--out", str(run), "--no-progress", "--resume"])
     assert set(kept) == {len(saved)}  # no answer was written again
     assert len(kept) > len(saved)

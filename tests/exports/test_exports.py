@@ -157,15 +157,17 @@ def test_what_mjcf_cannot_write_is_said(tmp_path: Path) -> None:
 def test_a_finished_run(tmp_path: Path) -> None:
     name = "backlash all play"
     space = {"bl_5": {"unit": "m"}, name: {"unit": "rad"}}
-    write_json(tmp_path / "result.json", {"simulation": {"bl_5": 0.9, name: 0.02}, "space": space})
+    told = {"intervals": {"bl_5": [0.8, 1.0], name: [0.0, 0.05]}, "told": ["bl_5"], "combinations": []}
+    write_json(tmp_path / "result.json", {"simulation": {"bl_5": 0.9, name: 0.02}, "space": space, "told": told})
     term = {"effect": "backlash", "location": "all", "parameters": {"play": 0.02}}
     write_json(tmp_path / "simulation.json", {"terms": [term]})
     export_coevolution(tmp_path)
     rows = json.loads((tmp_path / "parameters.json").read_text())
     assert [(row["name"], row["unit"], row["value"], row["interval_low"]) for row in rows] == [
-        ("bl_5", "m", 0.9, None),
-        (name, "rad", 0.02, None),
+        ("bl_5", "m", 0.9, 0.8),
+        (name, "rad", 0.02, 0.0),
     ]
+    assert ["not told by these trials" in row["origin"] for row in rows] == [False, True]
     assert ["needs simulation.json" in row["origin"] for row in rows] == [False, True]
     assert not (tmp_path / "randomisation.json").exists()
 

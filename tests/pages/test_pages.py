@@ -239,15 +239,20 @@ def test_the_verdict_of_many_parameters_is_in_percent_of_their_ranges(folders: C
     assert "the mean error of 4 parameters goes from 50 % to 5 % of their ranges." in coevolution_sentence(many)
 
 
-def test_similar_fits_are_those_of_a_loop(folders: Callable[[str], Path]) -> None:
-    folder = folders("coevolve")
-    result = read_json(folder / "result.json")
-    with np.load(folder / "simulations-003.npz") as archive:
-        scores, tried = archive["delta_fitness"].ravel(), archive["parameters"].reshape(-1, 2)
-    near = [row for row, score in zip(tried, scores, strict=True) if score <= 2 * scores.min()]
-    near.append(np.array(list(result["simulation"].values())))
-    for i, (low, high) in enumerate(result["similar_range"].values()):
-        assert (low, high) == (min(row[i] for row in near), max(row[i] for row in near))
+def test_the_table_says_what_is_not_told(folders: Callable[[str], Path]) -> None:
+    result = read_json(folders("coevolve") / "result.json")
+    told = {
+        "intervals": {"bl_5": [0.4, 1.6], "bl_14": [1.5, 1.6]},
+        "told": ["bl_14"],
+        "combinations": ["only a is told"],
+    }
+    text = summary_table(result | {"told": told}, Path("run"))
+    (row,) = [line for line in text.splitlines() if line.startswith("bl_5")]
+    assert " 0.4        1.6 " in row
+    assert row.endswith("not told by these trials")
+    assert "only a is told" in text.splitlines()
+    (row,) = [line for line in text.splitlines() if line.startswith("bl_14")]
+    assert "not told" not in row
 
 
 def test_values_at_a_bound_are_marked() -> None:

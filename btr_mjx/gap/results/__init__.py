@@ -8,7 +8,7 @@ adds those that MJCF cannot express to a simulation. `added_effects` makes parts
 
 from btr_mjx.gap.results.callback import Callback
 from btr_mjx.gap.results.drawn import DisagreementMap, JointForce, Overlay
-from btr_mjx.gap.results.effect_simulator import EffectEdit, EffectSimulator, added_effects
+from btr_mjx.gap.results.effect_simulator import EffectEdit, EffectSimulator, added_effects, write_world
 from btr_mjx.gap.results.late_logs import without_late_log
 from btr_mjx.gap.results.mended_model import (
     MendedModel,
@@ -110,4 +110,5 @@ __all__ = [
     "verdict_sentence",
     "with_residual",
     "without_late_log",
+    "write_world",
 ]

@@ -38,9 +38,14 @@ class EffectEdit:
         """Change the numbers of a model that the effect changes."""
         world = World.of(model)
         self.effect.apply(world, self.place, np.array(values))
-        for name, value in differing_fields(world, model).items():
-            if name != "actuator_delay":  # of a world it is an edit of the command
-                write_field(model, name, value)
+        write_world(model, world)
+
+
+def write_world(model: mujoco.MjModel, world: World) -> None:
+    """Give a model the numbers in which the model of a world differs from it."""
+    for name, value in differing_fields(world, model).items():
+        if name != "actuator_delay":  # of a world it is an edit of the command
+            write_field(model, name, value)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ import hashlib
 import os
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ import numpy as np
 from btr_mjx.errors import DamagedFile
 from btr_mjx.gap.simulate.batch import Counter
 from btr_mjx.gap.simulate.segments import Job
-from btr_mjx.runs import content_digest, read_arrays, write_arrays
+from btr_mjx.runs import content_digest, progress, read_arrays, write_arrays
 
 
 class Journal(Counter):
@@ -82,6 +83,55 @@ class Journal(Counter):
     def close(self) -> None:
         """Remove the files, at the end of a search."""
         shutil.rmtree(self._folder, ignore_errors=True)
+
+
+@contextmanager
+def followed_search(
+    folder: Path,
+    checkpoint: Callable[[], None],
+    *,
+    total: int | None = None,
+    code: bytes = b"",
+    show: bool | None = False,
+) -> Iterator[tuple[Journal, Callable[[str], None]]]:
+    """Follow a search with a progress bar and keep a journal of it.
+
+    Args:
+      folder: of the journal; it stays until `Journal.close`.
+      checkpoint: called often; raises Interrupted to stop the search.
+      total: steps of the search; None where they are not known, but estimated from phase to phase.
+      code: of user-defined effects, see `Journal`.
+      show: as of `progress`.
+
+    Yields:
+      The journal, and what to call with a word on what is being done.
+    """
+    begun = 0
+    with progress(total=total, description="search", unit="steps", unit_scale=True, show=show) as bar:
+
+        def say(phase: str) -> None:
+            nonlocal begun
+            bar.set_description(phase)
+            part = next((part for name, part in _DONE.items() if phase.startswith(name)), None)
+            if part == 0:
+                begun = bar.n
+            elif part is not None and total is None:
+                bar.total = begun + round((bar.n - begun) / part)
+            checkpoint()
+
+        def count(steps: int) -> None:
+            if bar.total is not None and steps > bar.total:
+                bar.total = None  # more than was estimated: nothing is known of the time left
+            bar.update(steps - bar.n)
+            checkpoint()
+
+        yield Journal(folder, count, code), say
+        bar.total = bar.n
+
+
+_DONE = {"state estimates": 0.0, "signatures": 0.2, "leaders": 0.4, "lack of fit": 0.87}
+"""Part of the steps of a search that lie before a phase, where a robot touches the world: before the leaders 0.37 to
+0.49 with two quadrupeds and a hexapod (`python -m btr_mjx.diagnose --demo --robot quadruped`)."""
 
 
 def _key(code: bytes, jobs: Sequence[Job], timestep: float | None) -> str:

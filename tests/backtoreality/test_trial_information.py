@@ -1,0 +1,157 @@
+"""What trials tell of unknown numbers: closed forms where fitness is linear, and true values within intervals."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from btr_mjx.backtoreality import CoevolveConfig, Problem, build_problem
+from btr_mjx.backtoreality.run_state import Trials
+from btr_mjx.backtoreality.told_words import told_by_plan, told_by_trials, told_sentence
+from btr_mjx.backtoreality.trial_information import SLOPE_STEPS, Slopes, fitness_slopes, informative, told_by
+from btr_mjx.evaluation import FitnessFunction, Outcome
+from btr_mjx.robots import Pairs, Robot
+
+THROWER = Path(__file__).parents[2] / "examples" / "thrower"
+LOW, SPAN = np.array([0.05, 0.0]), np.array([0.55, 1.0])
+
+
+@dataclass(frozen=True)
+class Parabola:
+    """The first joint's position is a parabola in the numbers: `slope` of the first two controller parameters."""
+
+    bend: float = 0.0
+    same: bool = False
+
+    def __call__(self, robot: Robot, pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
+        s, c = pairs.simulations[pairs.index], pairs.controllers[:, :2]
+        weight = c[:, :1] * [1.0, 0.5] if self.same else c
+        value = (weight * s).sum(1) + self.bend * s[:, 0] ** 2
+        qpos = np.tile(value[:, None, None], (1, len(pairs.times), pairs.models[0].nq))
+        return qpos, np.zeros((*qpos.shape[:2], pairs.models[0].nv))
+
+
+def first_joint(outcome: Outcome) -> np.ndarray:
+    assert outcome.qpos is not None
+    return outcome.qpos[..., -1, 0]
+
+
+def problem(simulator: Parabola) -> Problem:
+    made = build_problem(CoevolveConfig(robot=THROWER, engine="native", reality_engine="native"))
+    fitness = FitnessFunction("first joint", "rad", True, first_joint, needs_states=True)
+    return replace(made, robot=replace(made.robot, simulator=simulator), fitness=fitness, engine=None)
+
+
+def trials_of(made: Problem, truth: np.ndarray, count: int, noise: float = 0.0) -> Trials:
+    rng = np.random.default_rng(1)
+    controllers = made.controller_box.sample(rng, count)
+    f_r = made.simulate(truth[None], controllers)[0] + noise * rng.standard_normal(count)
+    return Trials(controllers, f_r, np.zeros((count, 0)), f_r, np.ones(count, int))
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A reality that knows the scatter of its measurements."""
+
+    noise: float
+
+    def measure(self, controllers: np.ndarray, trial: int, times: tuple[float, ...]) -> np.ndarray:
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize("at", [[0.3, 0.4], [0.05, 1.0], [0.6, 0.02]])
+def test_slopes_of_a_parabola(at: list[float]) -> None:
+    """At bounds as well, where all differences lie on one side."""
+    made, simulation = problem(Parabola(bend=2.0)), np.array(at)
+    controllers = trials_of(made, simulation, 5).controllers
+    found = fitness_slopes(made, simulation, controllers)
+    expected = (controllers[:, :2] + [4.0 * at[0], 0.0]) * SPAN
+    for slopes in found.slopes:
+        np.testing.assert_allclose(slopes, expected, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(found.rough, 0.0, atol=1e-20)
+
+
+def test_intervals_of_linear_fitness_are_the_closed_form() -> None:
+    """The posterior of a linear model with known noise, and a prior of the variance of the range."""
+    truth, at, noise = np.array([0.2, 0.3]), np.array([0.25, 0.35]), 0.02
+    made = replace(problem(Parabola()), reality=Measured(noise))
+    trials = trials_of(made, truth, 12, noise)
+    design = trials.controllers[:, :2]
+    covariance = np.linalg.inv(design.T @ design / noise**2 + np.diag(12 / SPAN**2))
+    mean = covariance @ (design.T @ trials.f_r / noise**2 + 12 / SPAN**2 * (LOW + SPAN / 2))
+    reach = 1.6448536 * np.sqrt(np.diag(covariance))
+    # A simulation as good as the best: one that residuals tell to be wrong counts as one that lacks something.
+    told = told_by_trials(made, mean, trials, 1)
+    for name, low, high in zip(made.unknown, mean - reach, mean + reach, strict=True):
+        np.testing.assert_allclose(told["intervals"][name], [low, high], rtol=1e-6)
+    assert told["told"] == list(made.unknown)
+    lows, highs = np.array(list(told_by_trials(made, at, trials, 1)["intervals"].values())).T
+    assert (lows <= np.minimum(at, truth)).all()
+    assert (highs >= np.maximum(at, truth)).all()
+
+
+def test_only_the_sum_of_two_numbers_is_told() -> None:
+    made, at = problem(Parabola(same=True)), np.array([0.3, 0.5])
+    told = told_by_trials(made, at, trials_of(made, at, 8), 1)
+    assert told["told"] == []
+    assert told["combinations"] == ["only ball mass + 0.5 × elbow damping is told"]
+    for name, low, span in zip(made.unknown, LOW, SPAN, strict=True):
+        np.testing.assert_allclose(told["intervals"][name], [low, low + span])
+    text = told_sentence(told, made.simulation_box)
+    assert text.startswith("told by the trials (90 %): nothing; not told: ball mass, elbow damping; only")
+    controllers = trials_of(made, at, 8).controllers
+    assert "can tell no unknown number; only ball mass + 0.5 ×" in told_by_plan(made, at, controllers)
+    assert "can tell ball mass and elbow damping" in told_by_plan(problem(Parabola()), at, controllers)
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_true_numbers_are_within_their_intervals(shared: bool) -> None:
+    """Linear fitness with noise, or with an error that all trials share as they share their controller's habits."""
+    rng, within = np.random.default_rng(5), []
+    for _ in range(300):
+        truth, at = rng.uniform(size=(2, 3))
+        slopes = rng.standard_normal() + 0.3 * rng.standard_normal((15, 3))
+        error = 0.05 * (np.full(15, rng.standard_normal()) if shared else rng.standard_normal(15))
+        at = truth + 0.02 * (at - 0.5)
+        found = Slopes(
+            slopes @ at,
+            np.stack([slopes] * len(SLOPE_STEPS)),
+            np.zeros((len(SLOPE_STEPS), 3)),
+            np.ones((len(SLOPE_STEPS), 3)),
+        )
+        told = told_by(found, slopes @ (at - truth) - error, at, 0.0 if shared else 0.05)
+        low, high = told.interval
+        within.append((low <= truth) & (truth <= high))
+    assert np.mean(within) > 0.87
+
+
+def test_roughness_tells_nothing() -> None:
+    """Fitness that does not depend on a number, but jumps with it: its slopes are large, and not believed."""
+    rng, at = np.random.default_rng(2), np.array([0.4, 0.6])
+    offsets = np.array([0.0, -1.0, -0.5, 0.5, 1.0])
+    slopes, rough, gain = (
+        np.zeros((len(SLOPE_STEPS), 40, 2)),
+        np.zeros((len(SLOPE_STEPS), 2)),
+        np.zeros((len(SLOPE_STEPS), 2)),
+    )
+    for k, step in enumerate(SLOPE_STEPS):
+        fit = np.linalg.pinv(np.vander(step * offsets, 3, increasing=True))
+        slopes[k] = np.stack([rng.standard_normal((40, 5)) @ fit[1] for _ in range(2)], axis=1)
+        rough[k], gain[k] = 1.0, (fit[1] ** 2).sum()
+    residual = np.sqrt(2) * rng.standard_normal(40)  # of noise and of roughness
+    assert not told_by(Slopes(np.zeros(40), slopes, rough, gain), residual, at, 1.0).told.any()
+    assert told_by(Slopes(np.zeros(40), slopes, 0 * rough, gain), residual / 2, at, 1.0).told.any()
+
+
+def test_informative_trials_tell_what_the_best_do_not() -> None:
+    """The best controllers excite one number; the first other one that is chosen excites the other number most."""
+    made, at = problem(Parabola()), np.array([0.3, 0.5])
+    candidates = np.tile(made.controller_box.low, (6, 1)) * 0.0
+    candidates[:, 0] = [0.5, 0.49, 0.48, 0.47, 0.0, 0.1]
+    candidates[:, 1] = [0.0, 0.0, 0.0, 0.0, 0.2, 0.4]
+    candidates = np.clip(candidates, made.controller_box.low, made.controller_box.high)
+    order = informative(made, at, candidates[:0], candidates)
+    assert order[:3] == [0, 1, 5]
+    tried = np.tile(candidates[5], (30, 1))  # known from other trials: now the first number is worth more
+    assert informative(made, at, tried, candidates)[2] == 2
