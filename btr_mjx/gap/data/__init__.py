@@ -7,7 +7,6 @@ deviation of the sensor noise. `save_dataset` writes one. A `Reader` adds a form
 Throughout, `where` says in messages which file or table is meant, and what is found and chosen is appended to `notes`.
 """
 
-from btr_mjx.gap.data.base.estimate import with_imu
 from btr_mjx.gap.data.columns.model_columns import (
     control_columns,
     driven_joint,
@@ -20,7 +19,7 @@ from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, known
 from btr_mjx.gap.data.files.readers import Reader, read_columns
 from btr_mjx.gap.data.files.table import LogTable, log_table
 from btr_mjx.gap.data.lists import counted, listed
-from btr_mjx.gap.data.loading import load
+from btr_mjx.gap.data.loading import load, with_imu
 from btr_mjx.gap.data.opening import open_dataset, open_logs
 from btr_mjx.gap.data.recordings.held import Held, bends, held, stairs
 from btr_mjx.gap.data.recordings.noise import Noise, estimate_noise, quantisation_noise, reduced_noise

@@ -202,9 +202,8 @@ def noise_of(dataset: Dataset) -> Noise:
 
 def known_of(recordings: Sequence[Recording], what: Literal["sigma", "spread"]) -> np.ndarray:
     """(2 nv,) how well states are known that were estimated, the mean over recordings; NaN for measured ones."""
-    measured = np.full(2 * recordings[0].model.nv, np.nan)
-    rows = [measured if r.estimate is None else getattr(r.estimate, what) for r in recordings]
-    return np.sqrt(np.mean(np.square(rows), axis=0))
+    rows = [getattr(r.estimate, what) ** 2 for r in recordings if r.estimate is not None]
+    return np.sqrt(np.mean(rows, axis=0)) if rows else np.full(2 * recordings[0].model.nv, np.nan)
 
 
 def _tolerances(table: Any, path: Path) -> dict[str, float]:

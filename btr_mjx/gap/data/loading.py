@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.base.estimate import estimate_bases
 from btr_mjx.gap.data.columns.model_columns import model_columns
 from btr_mjx.gap.data.columns.plan import LogOptions, read_log
 from btr_mjx.gap.data.columns.remedy import Answer
@@ -202,8 +201,23 @@ def _with_bases(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list
     hidden = [one for group in groups for one in group if base_unmeasured(one)]
     if not hidden:
         return [list(group) for group in groups]
+    from btr_mjx.gap.data.base.estimate import estimate_bases  # slow to load
+
     found = iter(estimate_bases(hidden, notes))
     return [[next(found) if base_unmeasured(one) else one for one in group] for group in groups]
+
+
+def with_imu(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings whose base and an IMU on it were measured, with the states that agree with both and with the feet.
+
+    Returned as they are: recordings without an IMU, those of a robot that touches nothing or whose IMU contradicts the
+    pose, and those whose base was estimated when they were read.
+    """
+    if not any(one.sensor for one in recordings):
+        return list(recordings)
+    from btr_mjx.gap.data.base.estimate import sharpened_bases  # slow to load
+
+    return sharpened_bases(recordings)
 
 
 def _without_lagging_velocities(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list[list[Recording]]:

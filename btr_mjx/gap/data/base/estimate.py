@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.base.motion import BaseMotion, Legs, MeasuredBase, Unit
+from btr_mjx.gap.data.base.residuals import inertia_of, poses
 from btr_mjx.gap.data.base.smoother import smoothed_bases
 from btr_mjx.gap.data.columns.model_columns import imu_columns
 from btr_mjx.gap.data.recordings.noise import DIFFERENCE_ORDER, annihilator, estimate_noise
@@ -86,12 +87,8 @@ def estimate_bases(recordings: Sequence[Recording], notes: list[str]) -> list[Re
     return [_filled(*row, found) for row in zip(recordings, sources, motions, strict=True)]
 
 
-def with_imu(recordings: Sequence[Recording]) -> list[Recording]:
-    """Recordings whose base was measured, and an inertial unit on it, with states that both agree with.
-
-    Others are returned as they are: those without a unit, those whose unit disagrees with the pose, robots that touch
-    nothing, and those whose base was estimated already.
-    """
+def sharpened_bases(recordings: Sequence[Recording]) -> list[Recording]:
+    """States of bases that were measured, beside an inertial unit on them; see `loading.with_imu`."""
     model = recordings[0].model
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     if len(free) != 1 or not _can_touch(model, int(model.jnt_bodyid[free[0]])):
@@ -102,7 +99,8 @@ def with_imu(recordings: Sequence[Recording]) -> list[Recording]:
         return list(recordings)
     sources = [_source(one, base) for one in recordings]
     motions, found = _smoothed(sources)
-    if np.median([_disagreement(own.unit, motion) for own, motion in zip(sources, motions, strict=True)]) > _AGREES:
+    apart = [_disagreement(own, motion, found) for own, motion in zip(sources, motions, strict=True)]
+    if np.median(apart) > _AGREES:
         return list(recordings)
     return [_filled(*row, found) for row in zip(recordings, sources, motions, strict=True)]
 
@@ -124,11 +122,10 @@ def _pose_of(recording: Recording, base: int, sigma: np.ndarray) -> MeasuredBase
     return MeasuredBase(recording.qpos[:, q : q + 3], turn, recording.qvel[:, v : v + 3], noise)
 
 
-def _disagreement(unit: Unit, motion: BaseMotion) -> float:
-    """Root mean square of the orientation's distance from the measured one, in units of its noise."""
-    assert unit.pose is not None
-    left = (motion.turn.inv() * unit.pose.turn).as_rotvec() / unit.pose.sigma[6:]
-    return float(np.sqrt((left**2).mean()))
+def _disagreement(source: _Source, motion: BaseMotion, mount: Rotation) -> float:
+    """Root mean square of the distance from a measured pose in units of its noise, of the coordinate with the most."""
+    inertia = inertia_of(source.unit, motion, mount)
+    return float(np.sqrt((poses(source.legs, source.unit, motion, inertia).residual ** 2).mean(0)).max())
 
 
 def _hidden_base(recording: Recording) -> int:
