@@ -20,13 +20,13 @@ _LOG = logging.getLogger(__name__)
 _COMPILING = 20.0
 """Time that native MuJoCo may need for a whole run without another engine being tried [s].
 
-To import, trace and compile `lanes` takes 3 to 34 s on one core (`uv run python benchmarks/engine_choice.py`).
+To import, trace and compile `lanes` takes 2 to 37 s on one core (`uv run python benchmarks/engine_choice.py`).
 """
 
 _PER_CORE = 4
 """Pairs that native MuJoCo is timed on, per core."""
 
-_STEPS = 500
+_STEPS = 1000
 """Steps of a trial that are timed."""
 
 
