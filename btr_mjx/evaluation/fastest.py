@@ -23,10 +23,10 @@ _COMPILING = 20.0
 To import, trace and compile `lanes` takes 2 to 37 s on one core (`uv run python benchmarks/engine_choice.py`).
 """
 
-_PER_CORE = 4
+_PER_CORE = 16
 """Pairs that native MuJoCo is timed on, per core."""
 
-_STEPS = 1000
+_STEPS = 500
 """Steps of a trial that are timed."""
 
 
