@@ -43,6 +43,9 @@ from btr_mjx.backtoreality import (
     summarise,
     summary_table,
     typed_settings,
+    whole_trials,
+    with_engine_of_folder,
+    with_measured_engine,
 )
 from btr_mjx.errors import Interrupted, cli_errors, resume_command
 from btr_mjx.models import base_model
@@ -95,6 +98,7 @@ def run_config(
       tell: called with the result and its folder once all of it is saved, before anything is drawn.
     """
     with _claimed(config) as config:
+        config = with_engine_of_folder(config)
         assert config.out is not None
         problem = build_problem(config, robot)
         # Bad input raises its error before anything is written.
@@ -104,6 +108,9 @@ def run_config(
             config.out, config, config.resume, ignore=(*IGNORED_FIELDS, "figures", "wait"), inputs=inputs_of(problem)
         )
         with folder as run, graceful_interrupt() as stop:
+            batch = config.simulations * config.trials
+            config = with_measured_engine(config, problem.robot, whole_trials(problem), batch, run.settle)
+            problem = build_problem(config, robot)
             state = run_in_folder(problem, run, stop, config.progress, config.wait)
             result = summarise(problem, state)
             write_arrays(run.path / "trials.npz", vars(state.trials))

@@ -29,6 +29,8 @@ from btr_mjx.backtoreality import (
     delta,
     delta_fitness,
     run_scan,
+    with_engine_of_folder,
+    with_measured_engine,
 )
 from btr_mjx.errors import InputError, cli_errors, resume_command
 from btr_mjx.gap.results import format_number
@@ -48,10 +50,13 @@ def main(argv: Sequence[str] | None = None) -> None:
     with cli_errors(resume):
         if config.resume and config.out is None:
             raise InputError("--resume: say which scan to continue with --out FOLDER")
+        config = with_engine_of_folder(config)
         scan = build_scan(config)
         evolved = 0 if config.behaviours == "random" else config.controllers * config.generations
         total = evolved + config.trials * (config.grid + 1)
+        batch = config.trials * config.grid
         if config.out is None:
+            config = with_measured_engine(config, scan.robot, total, batch, lambda settled: None)
             _print_result(config, *_with_bar(config, total))
             return
         ignore = (*IGNORED_FIELDS, "cluster", "figures")
@@ -60,6 +65,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             "the fitness function": content_digest(scan.fitness),
         }
         with RunFolder.create(config.out, config, config.resume, ignore=ignore, inputs=inputs) as run:
+            config = with_measured_engine(config, scan.robot, total, batch, run.settle)
             arrays, result = _with_bar(config, total)
             write_arrays(run.path / "scan.npz", arrays)
             write_json(run.path / "result.json", result)

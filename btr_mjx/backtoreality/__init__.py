@@ -21,10 +21,11 @@ from btr_mjx.backtoreality.line_scan import (
     run_scan,
 )
 from btr_mjx.backtoreality.reality import FolderReality, Reality, SimulatedReality, Waiting
-from btr_mjx.backtoreality.resumable import inputs_of, run_in_folder
+from btr_mjx.backtoreality.resumable import inputs_of, run_in_folder, whole_trials
 from btr_mjx.backtoreality.run_exports import export_coevolution, export_simulation
 from btr_mjx.backtoreality.run_state import Problem, Progress, State
 from btr_mjx.backtoreality.settings import BTRSettings, SearchSettings
+from btr_mjx.backtoreality.settled_engine import with_engine_of_folder, with_measured_engine
 from btr_mjx.backtoreality.summary import bound_words, prediction_errors, summarise, summary_table, value_note
 
 __all__ = [
@@ -63,4 +64,7 @@ __all__ = [
     "summary_table",
     "typed_settings",
     "value_note",
+    "whole_trials",
+    "with_engine_of_folder",
+    "with_measured_engine",
 ]

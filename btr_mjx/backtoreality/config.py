@@ -48,7 +48,8 @@ class CoevolveConfig(RunSettings, BTRSettings):
     reality_model: Path | None = None
     """Another MJCF or template for the hidden reality, with the same joints and motors: what the simulator lacks."""
     reality_engine: Literal["same", "lanes", "mjx", "native"] = "same"
-    """Engine that runs the hidden reality; native is float64 and shares no code with the others."""
+    """Engine that runs the hidden reality. same: that of the searches, or native for a reality with a model of its own,
+    whose few trials are done before lanes has compiled. native is float64 and shares no code with the others."""
     reality_timestep: float | None = None
     """Another time step of a native reality [s]."""
     reality_integrator: Literal["euler", "implicitfast", "implicit", "rk4"] | None = None
@@ -159,10 +160,11 @@ def build_problem(config: CoevolveConfig, robot: Robot | None = None) -> Problem
     if config.reality_timestep is not None and not 0 < config.reality_timestep <= 0.01:
         raise InputError(f"reality_timestep: got {config.reality_timestep}, expected a step within (0, 0.01] s")
     engine, fitness = config.engine_or_none, config.fitness_of(robot)
+    same = engine if config.reality_model is None else "native"
     reality: Reality = SimulatedReality(
         _real_robot(robot, config.reality_model),
         tuple(truth.tolist()),
-        engine if config.reality_engine == "same" else config.reality_engine,
+        same if config.reality_engine == "same" else config.reality_engine,
         EngineSettings(timestep=config.reality_timestep, integrator=config.reality_integrator),
         fitness,
         config.noise,

@@ -56,7 +56,7 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
                 note(f"iteration {row['iteration']}: {row['told']}")
 
     show = show and state.phase != "done"
-    with progress(total=_pairs_left(problem, state), description="pairs", unit="pairs", show=show) as bar:
+    with progress(total=int(_pairs_left(problem, state)), description="pairs", unit="pairs", show=show) as bar:
         problem = replace(problem, progress=bar.update)
         while state.phase != "done":
             phase, text = state.phase, f"iteration {state.iteration}: {_PHASE_TEXTS[state.phase]}"
@@ -66,7 +66,7 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
             with _journal_of(run.path / _JOURNAL, phase, stop, show) as (journal, say):
                 state = _advanced(problem, state, partial(report, say), stop, bar if wait else None, journal)
             if phase == "simulations" != state.phase:  # the search may have converged early, or a target is met
-                bar.total = bar.n + _pairs_left(problem, state)
+                bar.total = bar.n + int(_pairs_left(problem, state))
             run.save_checkpoint(step, *state_to_arrays(state))
             if journal is not None:
                 journal.close()
@@ -119,12 +119,21 @@ _PHASE_TEXTS = {
 }
 
 
-def _pairs_left(problem: Problem, state: State) -> int:
-    """Pairs that remain to be simulated if no stop criterion is met early (an estimate after a resume)."""
+def whole_trials(problem: Problem) -> int:
+    """Trials of the whole length that take as long as all pairs of a run, if no stop criterion is met early."""
+    marks = problem.settings.marks if problem.settings.compared == "multiscale" else (problem.robot.duration,)
+    return int(_pairs_left(problem, begin(problem), marks[-1] / problem.robot.duration))
+
+
+def _pairs_left(problem: Problem, state: State, step_3: float = 1) -> float:
+    """Pairs that remain to be simulated if no stop criterion is met early (an estimate after a resume).
+
+    Those of step 3 count `step_3` each.
+    """
     settings = problem.settings
     if state.phase == "done":
         return 0
-    left = 0 if state.phase != "baseline" else 1
+    left: float = state.phase == "baseline"
     slopes = slope_simulations(problem)
     if state.iteration == 1 and state.phase in ("baseline", "controllers"):
         left += slopes * settings.trials
@@ -134,7 +143,8 @@ def _pairs_left(problem: Problem, state: State) -> int:
         if iteration > state.iteration or state.phase in ("baseline", "controllers"):
             left += settings.controllers * (settings.controller_generations - done) + behaviours
             done = 0
-        left += settings.simulations * behaviours * (settings.simulation_generations - done) + slopes * behaviours
+        left += step_3 * settings.simulations * behaviours * (settings.simulation_generations - done)
+        left += slopes * behaviours
     return left
 
 

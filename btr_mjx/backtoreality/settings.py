@@ -21,7 +21,8 @@ class RunSettings:
     seed: int = 0
     """Seed of everything random."""
     engine: Literal["auto", "lanes", "mjx", "native"] = "auto"
-    """How simulations are computed; auto takes the fastest that can."""
+    """How simulations are computed. auto measures before the first trial whether lanes or native is the faster one for
+    the whole run, and writes it to the run's config."""
     progress: bool = True
     """Show a progress bar (lines now and then where there is no terminal)."""
     figures: bool = True

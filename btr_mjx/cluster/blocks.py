@@ -121,7 +121,9 @@ def evaluate_blocks(
       The table, equal to that of `evaluate` to the bit; it takes 13 bytes per pair.
     """
     s, c = checked_pairs(robot, simulations, controllers)
-    engine, shape = engine or fastest_engine(robot), (len(s), len(c))
+    fitness = fitness_function(fitness, robot.target)
+    chunk, shape = settings.chunk if settings else None, (len(s), len(c))
+    engine = engine or fastest_engine(robot, states=fitness.needs_states, chunk=chunk)
     table = PairTable(np.empty(shape), np.empty(shape, bool), np.empty(shape, np.int32), engine)
     options: dict[str, Any] = {"engine": engine, "fitness": fitness, "settings": settings, "blocks": blocks}
     for block in iterate_blocks(robot, s, c, **options, progress=progress):
@@ -165,9 +167,9 @@ def iterate_blocks(
     from btr_mjx.engines import uses_doubles  # loads JAX
 
     s, c = checked_pairs(robot, simulations, controllers)
-    chosen = engine or fastest_engine(robot)
     how = settings or EngineSettings()
     fitness = fitness_function(fitness, robot.target)
+    chosen = engine or fastest_engine(robot, states=fitness.needs_states, chunk=how.chunk)
     compute = partial(_compute, robot, chosen, fitness, how)
     # Threads do not change results, so that they may differ on resume.
     key = content_digest(

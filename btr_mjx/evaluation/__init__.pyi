@@ -1,7 +1,8 @@
 from . import metrics
 from .distances import MARKS, fitness_at_marks, multiscale_fitness
-from .engine_choice import Engine, EngineSettings, fastest_engine
+from .engine_choice import Engine, EngineSettings
 from .evaluation import Evaluation, checked_pairs, evaluate
+from .fastest import EngineChoice, choose_engine, fastest_engine
 from .fitness import (
     DISTANCE,
     FITNESS_FUNCTIONS,
@@ -21,6 +22,7 @@ __all__ = [
     "FITNESS_FUNCTIONS",
     "MARKS",
     "Engine",
+    "EngineChoice",
     "EngineSettings",
     "Evaluation",
     "FitnessFunction",
@@ -28,6 +30,7 @@ __all__ = [
     "Outcome",
     "Trajectory",
     "checked_pairs",
+    "choose_engine",
     "delta_fitness_of",
     "delta_of",
     "evaluate",

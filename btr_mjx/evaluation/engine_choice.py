@@ -1,18 +1,17 @@
-"""Engines for a robot: which is fastest, and the runners, steppers and compiled programs, each made once."""
+"""Engines for a robot: the runners, steppers and compiled programs, each made once; and rollouts of many pairs."""
 
-import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from btr_mjx.engines import Record, UnsupportedModel, native
+from btr_mjx.engines import Record, native
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation.own_simulator import run_simulator
 from btr_mjx.evaluation.tracked_point import track_point
-from btr_mjx.models import Models, base_address, base_model, start_of, varying_fields
+from btr_mjx.models import Models, base_address, base_model, compile_models, start_of, varying_fields
 from btr_mjx.robots import Robot
 
 if TYPE_CHECKING:
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
 
 Engine = Literal["lanes", "mjx", "native"]
 """Name of a physics engine, see `btr_mjx.engines`."""
-
-_LOG = logging.getLogger(__name__)
 
 _CAPACITY = 16
 """Chunks per device and block."""
@@ -45,32 +42,6 @@ class EngineSettings:
     timestep: float | None = None
     integrator: str | None = None
     threads: int | None = None
-
-
-def fastest_engine(robot: Robot) -> Engine:
-    """The fastest engine that supports a robot: lanes; otherwise MJX on an accelerator or native on a CPU.
-
-    A simulator of the robot's own counts as native. That an engine other than lanes is taken, and why, is logged once.
-    """
-    if robot.simulator is not None:
-        return "native"
-    from btr_mjx.engines import uses_doubles  # takes seconds, which bad input should not
-
-    return _fastest(_program_inputs(robot), uses_doubles())
-
-
-@lru_cache(maxsize=16)
-def _fastest(robot: Robot, x64: bool) -> Engine:
-    import jax
-
-    try:
-        _stepper(robot, "lanes", x64, True)
-        return "lanes"
-    except UnsupportedModel as error:
-        # Not before: asked for its backend, JAX keeps the devices that it has, see `use_all_cores`.
-        engine: Engine = "native" if jax.default_backend() == "cpu" else "mjx"
-        _LOG.warning("engine %s: %s", engine, str(error).partition(";")[0])
-        return engine
 
 
 @dataclass(frozen=True)
@@ -122,6 +93,57 @@ def runner_of(robot: Robot, engine: Engine, samples: np.ndarray, states: bool, s
         {name: values[index] for name, values in models.leaves.items()}, controllers, samples
     )
     return Runner(robot, program.layout.pairs, run)
+
+
+def run_pairs(
+    robot: Robot,
+    simulations: np.ndarray,
+    controllers: np.ndarray,
+    *,
+    engine: Engine,
+    samples: np.ndarray,
+    states: bool,
+    settings: EngineSettings,
+    pairwise: bool,
+    progress: Callable[[int], object] | None = None,
+) -> Record:
+    """The record of pairs in C order, block by block; arguments as of `evaluate` and `runner_of`.
+
+    Pairs of which a guard trips are evaluated by native MuJoCo, and stay marked as tripped.
+    """
+    runner, records = runner_of(robot, engine, samples, states, settings), list[Record]()
+    shape = (len(simulations),) if pairwise else (len(simulations), len(controllers))
+    for rows, columns in _blocks(shape, runner.block):
+        used, index = np.unique(rows, return_inverse=True)
+        models, own = compile_models(robot, simulations[used]), controllers[columns]
+        record = runner(models, simulations[used], index, own)
+        tripped = np.flatnonzero(record.tripped)
+        if len(tripped):
+            exact = runner_of(robot, "native", samples, states, EngineSettings())
+            record = _replace_rows(record, tripped, exact(models, simulations[used], index[tripped], own[tripped]))
+        records.append(record)
+        if progress is not None:
+            progress(len(rows))
+    return Record(*(np.concatenate(column) for column in zip(*records, strict=True)))
+
+
+def _blocks(shape: tuple[int, ...], size: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Row and column indices of the pairs, in C order, `size` at a time."""
+    count = int(np.prod(shape))
+    for first in range(0, count, size):
+        flat = np.arange(first, min(first + size, count))
+        yield (flat, flat) if len(shape) == 1 else (flat // shape[1], flat % shape[1])
+
+
+def _replace_rows(record: Record, rows: np.ndarray, other: Record) -> Record:
+    """The record with rows of another engine; they stay marked as tripped."""
+
+    def merged(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+        result = np.array(mine, np.result_type(mine, theirs))
+        result[rows] = theirs
+        return result
+
+    return Record(*map(merged, record, other._replace(tripped=np.ones(len(rows), bool))))
 
 
 def stepper_of(robot: Robot, engine: Engine, guards: bool = False) -> "Stepper":

@@ -7,8 +7,7 @@ memory does not grow. For a fixed chunk size, the result of a pair is bit-identi
 pairs.
 """
 
-import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,15 +15,11 @@ from numpy.typing import ArrayLike
 
 from btr_mjx.engines import Record
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation.engine_choice import Engine, EngineSettings, fastest_engine, runner_of
+from btr_mjx.evaluation.engine_choice import Engine, EngineSettings, run_pairs
+from btr_mjx.evaluation.fastest import fastest_engine
 from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, FitnessLike, Outcome, fitness_function
-from btr_mjx.models import base_model, compile_models
+from btr_mjx.models import base_model
 from btr_mjx.robots import Robot
-
-_LOG = logging.getLogger(__name__)
-
-_MAX_TRIPPED = 0.25
-"""Part of the first block that guards may hand to native MuJoCo before it evaluates everything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +66,9 @@ def evaluate(
       simulations: (L, n_s) parameters inside the robot's simulation box.
       controllers: (M, n_c) parameters inside the robot's controller box.
       pairwise: evaluate row i with row i (L = M = B) rather than every simulation with every controller.
-      engine: "lanes", "mjx" or "native"; None for the fastest one that supports this robot. Pairs in which a contact
-        may take part that "lanes" does not compute are evaluated by native MuJoCo, see `Evaluation.tripped`; where
-        None is given and more than a quarter of the first block are such pairs, native MuJoCo evaluates all.
+      engine: "lanes", "mjx" or "native"; None for the one that is measured to be the fastest for this robot, see
+        `choose_engine`. Pairs in which a contact may take part that "lanes" does not compute are evaluated by native
+        MuJoCo, see `Evaluation.tripped`.
       fitness: a fitness function, or its name as in a robot.toml, see `fitness_function`.
       times: (K,) sample times in (0, T_e] [s] for the outcome, rounded to steps; None for the end alone. The last one
         ends the trial.
@@ -95,40 +90,21 @@ def evaluate(
     if pairwise and len(s) != len(c):
         raise InputError(f"pairwise: got {len(s)} simulations and {len(c)} controllers, expected as many of each")
     shape = (len(s),) if pairwise else (len(s), len(c))
-    chosen = engine or fastest_engine(robot)
-    recorded = states or fitness.needs_states or bool(robot.point)
-    dt = settings.timestep if chosen == "native" and settings.timestep else float(base_model(robot).opt.timestep)
+    recorded, own = states or fitness.needs_states or bool(robot.point), float(base_model(robot).opt.timestep)
+    chosen = engine or fastest_engine(
+        robot, samples=sample_steps(robot, times, own), states=recorded, chunk=settings.chunk
+    )
+    dt = settings.timestep if chosen == "native" and settings.timestep else own
     samples = sample_steps(robot, times, dt)
-    runner = runner_of(robot, chosen, samples, recorded, settings)
-    records: list[Record] = []
-    for rows, columns in _blocks(shape, runner.block):
-        used, index = np.unique(rows, return_inverse=True)
-        models, own = compile_models(robot, s[used]), c[columns]
-        record = runner(models, s[used], index, own)
-        tripped = np.flatnonzero(record.tripped)
-        if len(tripped) and engine is None and not records and len(tripped) > _MAX_TRIPPED * len(rows):
-            _LOG.warning(
-                "%s: lanes does not compute contacts of %d of the first %d pairs; native MuJoCo evaluates all",
-                *(robot.name, len(tripped), len(rows)),
-            )
-            return evaluate(
-                robot,
-                s,
-                c,
-                pairwise=pairwise,
-                engine="native",
-                fitness=fitness,
-                times=times,
-                states=states,
-                progress=progress,
-            )
-        if len(tripped):
-            native_runner = runner_of(robot, "native", samples, recorded, EngineSettings())
-            record = _replace_rows(record, tripped, native_runner(models, s[used], index[tripped], own[tripped]))
-        records.append(record)
-        if progress is not None:
-            progress(len(rows))
-    record = Record(*(np.concatenate(column) for column in zip(*records, strict=True)))
+    record = run_pairs(
+        *(robot, s, c),
+        engine=chosen,
+        samples=samples,
+        states=recorded,
+        settings=settings,
+        pairwise=pairwise,
+        progress=progress,
+    )
     return _evaluation(robot, chosen, record, samples * dt, shape, fitness, recorded)
 
 
@@ -187,22 +163,3 @@ def sample_steps(robot: Robot, times: ArrayLike | None, timestep: float) -> np.n
     if wanted[-1] > robot.duration * (1 + 1e-9):
         raise InputError(f"times: got {wanted[-1]} s, expected at most the trial's duration of {robot.duration} s")
     return steps.astype(int)
-
-
-def _blocks(shape: tuple[int, ...], size: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Row and column indices of the pairs, in C order, `size` at a time."""
-    count = int(np.prod(shape))
-    for first in range(0, count, size):
-        flat = np.arange(first, min(first + size, count))
-        yield (flat, flat) if len(shape) == 1 else (flat // shape[1], flat % shape[1])
-
-
-def _replace_rows(record: Record, rows: np.ndarray, other: Record) -> Record:
-    """The record with rows of another engine; they stay marked as tripped."""
-
-    def merged(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
-        result = np.array(mine, np.result_type(mine, theirs))
-        result[rows] = theirs
-        return result
-
-    return Record(*map(merged, record, other._replace(tripped=np.ones(len(rows), bool))))

@@ -1,4 +1,4 @@
-from .coverage import Coverage, coverage
+from .coverage import Coverage, CoveredPair, coverage
 from .rollouts import LanesRollout, rollout
 
-__all__ = ["Coverage", "LanesRollout", "coverage", "rollout"]
+__all__ = ["Coverage", "CoveredPair", "LanesRollout", "coverage", "rollout"]

@@ -137,7 +137,7 @@ class RunFolder:
                 leftover.unlink(missing_ok=True)
             # Written on resume as well: only fields that do not affect results can differ, or be damaged. A run whose
             # first process was killed at once is begun by a resume, and is the same run.
-            write_json(path / CONFIG_NAME, data | ({"resume": False} if data.get("resume") else {}))
+            run.settle(config)
             if not run.resumed:
                 sync_folder(path.parent)
             if inputs:
@@ -147,6 +147,16 @@ class RunFolder:
             run.close()
             raise
         return run
+
+    def settle(self, config: Any) -> None:
+        """Replace config.json, by a config in which the run has settled what was left to it, such as the engine.
+
+        Raises:
+          TypeError: the config cannot be saved as JSON.
+          OSError: the file cannot be written.
+        """
+        data = config_to_json(config)
+        write_json(self.path / CONFIG_NAME, data | ({"resume": False} if data.get("resume") else {}))
 
     def close(self) -> None:
         """Release the lock of the folder."""

@@ -8,6 +8,7 @@ import pytest
 from lanes_models import FAST, QUICK, mjcf
 
 from btr_mjx.engines import LanesStepper
+from btr_mjx.engines.lanes_engine.constraints.cones import Cone, make_cone
 
 FEET = (
     'type="sphere" size="0.1"',
@@ -85,8 +86,9 @@ def test_steps_and_trajectories_equal_native(condim: int, option: str, rng: np.r
         np.testing.assert_allclose(end[:, i], np.concatenate([data.qpos, data.qvel]), rtol=0, atol=1e-7)
 
 
-def test_a_world_has_the_same_bits_beside_others(rng: np.random.Generator) -> None:
-    model = feet(6, "")
+@pytest.mark.parametrize("option", ["", pytest.param('cone="elliptic" impratio="2"', marks=pytest.mark.slow)])
+def test_a_world_has_the_same_bits_beside_others(option: str, rng: np.random.Generator) -> None:
+    model = feet(6, option)
     states = moving(model, 32, rng)
     qpos, qvel = (np.stack([getattr(d, name) for d in states], axis=1) for name in ("qpos", "qvel"))
     stepper = LanesStepper(model, guards=True)
@@ -96,3 +98,22 @@ def test_a_world_has_the_same_bits_beside_others(rng: np.random.Generator) -> No
     np.testing.assert_array_equal(np.asarray(run(qpos[:, order], qvel[:, order])), alone[:, order])
     qvel[:, 1:] = np.where(np.arange(31) % 2, np.nan, 1e30)
     np.testing.assert_array_equal(np.asarray(run(qpos, qvel))[:, 0], alone[:, 0])
+
+
+@pytest.mark.parametrize("condim", [3, 4, 6])
+def test_slopes_along_a_line_are_those_of_the_forces(condim: int, rng: np.random.Generator) -> None:
+    """The closed form of a cone against its stiffness and force at the same point, in every zone."""
+    friction = [0.8, *([0.06] if condim > 3 else []), *([0.02] if condim > 4 else [])]
+    with jax.enable_x64(True):
+        rows = lambda: list(jnp.asarray(rng.normal(size=(condim, 500))))  # noqa: E731
+        cone = make_cone(condim, [], friction, jnp.full(500, 3.0), rows(), 2.0, np.float64)
+        start, along = rows(), rows()
+        zones = set()
+        for length in (0.0, 0.3, 1.0, 2.5):
+            here = [x + length * d for x, d in zip(start, along, strict=True)]
+            kinds = np.count_nonzero(np.abs(np.array(cone.model(here))) > 0, axis=0)
+            zones |= set(kinds.tolist())
+            both = (law(length) for law in (cone.slopes(start, along), Cone.slopes(cone, start, along)))
+            for found, expected in zip(*both, strict=True):
+                np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+        assert len(zones) == 3  # separated, sticking, sliding

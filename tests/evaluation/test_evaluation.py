@@ -4,6 +4,7 @@ import dataclasses
 import logging
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from btr_mjx.evaluation import EngineSettings, evaluate, fastest_engine, fitness
 from btr_mjx.models import compile_models, model_batch
 from btr_mjx.robots import Robot
 from btr_mjx.runs import available_cores
+
+THROWER = Path(__file__).parents[2] / "examples/thrower/robot.toml"
 
 
 def test_theorems_1_and_2_wherever_a_pair_stands(robot: Robot) -> None:
@@ -70,7 +73,7 @@ def test_another_engine_than_lanes_is_told_once_with_its_reason(
         for _ in range(2):
             assert evaluate(own, robot.nominal, c, times=[0.01]).engine == "native"
     reason = "the lanes engine does not compute the mjINT_IMPLICIT integrator (only Euler, implicitfast and RK4)"
-    assert [record.getMessage() for record in caplog.records] == [f"engine native: {reason}"]
+    assert [record.getMessage() for record in caplog.records] == [f"native: {reason}"]
 
 
 def test_samples_on_the_way(robot: Robot, rng: np.random.Generator) -> None:
@@ -133,16 +136,17 @@ def test_equal_simulations_are_prepared_once(robot: Robot, monkeypatch: pytest.M
     assert len(models) == 1000
 
 
-def test_choosing_an_engine_leaves_all_cores_to_programs() -> None:
-    """JAX fixes its devices when it is first asked for its backend, which only programs may do."""
+@pytest.mark.parametrize("integrator", ["implicitfast", "implicit"])
+def test_choosing_an_engine_leaves_all_cores_to_programs(integrator: str) -> None:
+    """JAX fixes its devices when it is first asked for its backend: with lanes, and where lanes refuses the robot."""
     lines = (
-        "import jax",
-        "from btr_mjx import hexapod",
-        "from btr_mjx.engines import use_all_cores",
+        "import dataclasses, jax",
         "from btr_mjx.evaluation import fastest_engine",
-        "fastest_engine(hexapod())",
-        "use_all_cores()",
-        "print(jax.config.jax_num_cpu_devices)",
+        "from btr_mjx.models import load_robot",
+        f"robot = load_robot({str(THROWER)!r})",
+        f"template = robot.template.replace('implicitfast', {integrator!r})",
+        "fastest_engine(dataclasses.replace(robot, template=template))",
+        "print(jax.device_count())",
     )
     done = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, timeout=120)
     assert done.stdout.split() == [str(available_cores())], done.stderr

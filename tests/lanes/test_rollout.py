@@ -182,18 +182,36 @@ def test_coverage_names_what_is_computed_guarded_and_refused(tmp_path: Path) -> 
     found = lanes.coverage(ARM.format(extra=EQUALITY))
     assert found.verdict == "refused"
     assert set(found.computed) == {"upper and floor", "lower and floor", "ball and floor"}
-    assert any("'upper'" in line and "'ball'" in line for line in found.guarded)
-    assert not any("'upper'" in line and "'lower'" in line for line in found.guarded)  # parent and child
+    assert any("(upper and ball)" in line for line in found.guarded)
+    assert not any("upper" in line and "lower" in line for line in found.guarded)  # parent and child
     assert [line for line in found.refused if "hold" in line]
     path = tmp_path / "arm.xml"
     path.write_text(ARM.format(extra=""))
     assert lanes.coverage(path).verdict == "guarded"
-    assert "guarded (2)" in str(lanes.coverage(path))
+    assert "2 are guarded" in str(lanes.coverage(path))
     free = ARM.format(extra="").replace('name="ball" type', 'name="ball" contype="0" conaffinity="0" type')
     assert lanes.coverage(free).verdict == "computed"
     round_ball = lanes.coverage(ARM.format(extra="").replace("ellipsoid", "sphere"))
     assert round_ball.verdict == "computed"
     assert {"upper and ball", "lower and ball"} < set(round_ball.computed)
+
+
+def test_the_summary_of_coverage_is_short_and_names_the_nearest_pairs() -> None:
+    """Boxes in a row: of many guarded pairs the neighbours come first, by the gaps that were built."""
+    gaps = np.array([0.5, 0.02, 0.3, 0.1, *np.full(20, 0.6)])
+    places = np.concatenate([[0.0], np.cumsum(gaps + 0.2)])
+    boxes = "".join(
+        f'<body pos="{x} 0 1"><freejoint/><geom name="box{i}" type="box" size="0.1 0.1 0.1"/></body>'
+        for i, x in enumerate(places)
+    )
+    found = lanes.coverage(f"<mujoco><worldbody>{boxes}</worldbody></mujoco>")
+    assert len(found.pairs) == len(places) * (len(places) - 1) / 2
+    assert [pair.names for pair in found.pairs[:3]] == ["box1 and box2", "box3 and box4", "box2 and box3"]
+    np.testing.assert_allclose([pair.distance for pair in found.pairs[:3]], [0.02, 0.1, 0.3], atol=1e-6)
+    lines = str(found).splitlines()
+    assert len(lines) <= 20
+    assert "300 are guarded" in lines[0]
+    assert "box1 and box2, 0.02 m apart" in str(found)
 
 
 def test_the_example_of_the_docs_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ Jacobian is never formed.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import combinations, combinations_with_replacement
@@ -35,6 +35,7 @@ from btr_mjx.engines.scalars import (
     neg,
     padded,
     sandwich,
+    scale,
     sub,
     total,
     transpose,
@@ -112,6 +113,17 @@ class Cone(ABC):
     def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
         """Stiffness and force of a zone along the rows: at `a` the contact force is force - stiffness a."""
 
+    def slopes(self, start: Vector, along: Vector) -> Callable[[Scalar], tuple[Scalar, Scalar]]:
+        """First and second derivative of the cost by the length of a step from `start` along the rows."""
+
+        def at(length: Scalar) -> tuple[Scalar, Scalar]:
+            here = vadd(start, scale(length, along))
+            stiffness, force = self.linear(self.model(here))
+            bent = matvec(full(stiffness), along)
+            return sub(dot(bent, here), dot(force, along)), dot(bent, along)
+
+        return at
+
     def same_zone(self, old: ZoneModel, new: ZoneModel) -> jax.Array:
         """Whether two zones are the same."""
         return reduce(jnp.logical_and, [x == y for x, y in zip(old, new, strict=True)])
@@ -178,28 +190,41 @@ class Ellipse(Cone):
 
     quadratic: ClassVar[bool] = False
 
-    def model(self, a: Vector) -> ZoneModel:
-        """Stiffness and force, linearised at `a`."""
-        kinds = _KINDS[: len(self.reference) - 1]
-        mu, ratio = self.friction[0], jnp.sqrt(jnp.asarray(self.impratio, self.weight.dtype))
-        cone = mu / ratio  # slope of the regularised cone
-        jar = vsub(a, self.reference)
-        n, sides = mul(jar[0], cone), [mul(x, self.friction[kind]) for kind, x in zip(kinds, jar[1:], strict=True)]
+    def __post_init__(self) -> None:
+        ratio = jnp.sqrt(jnp.asarray(self.impratio, self.weight.dtype))
+        self._kinds = _KINDS[: len(self.reference) - 1]
+        self._slope = self.friction[0] / ratio  # of the regularised cone
+        # Sliding: cost 1/2 strength (n - slope t)^2.
+        self._strength = self.weight / (self._slope * self._slope * (1.0 + self._slope * self._slope))
+        across = [self.weight * (ratio * ratio)]
+        across += [across[0] * (other / self.friction[0]) ** 2 for other in self.friction[1:]]
+        self._sticking = [self.weight, *(across[kind] for kind in self._kinds)]
+
+    def _scaled_rows(self, x: Vector) -> Vector:
+        """Components in which the cone is round."""
+        return [mul(x[0], self._slope), *(mul(y, self.friction[k]) for k, y in zip(self._kinds, x[1:], strict=True))]
+
+    def _zone(self, n: Scalar, sides: Vector) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        """Length of the sides and its inverse (0 and 1 where they vanish); whether the contact is separated, sticks."""
         square = dot(sides, sides)
         slides = square > 0
         t = jnp.sqrt(jnp.where(slides, square, 1.0)) * slides
-        separated = (n >= cone * t) & (slides | (n >= 0))
-        sticks = (cone * n + t <= 0) & (slides | (n < 0))
-        # Sliding: cost 1/2 strength (n - cone t)^2.
-        strength = self.weight / (cone * cone * (1.0 + cone * cone))
-        inverse = 1.0 / jnp.where(slides, t, 1.0)
+        separated = (n >= self._slope * t) & (slides | (n >= 0))
+        sticks = (self._slope * n + t <= 0) & (slides | (n < 0))
+        return t, 1.0 / jnp.where(slides, t, 1.0), separated, sticks
+
+    def model(self, a: Vector) -> ZoneModel:
+        """Stiffness and force, linearised at `a`."""
+        cone, strength = self._slope, self._strength
+        n, *sides = self._scaled_rows(vsub(a, self.reference))
+        t, inverse, separated, sticks = self._zone(n, sides)
         gap = n - cone * t
         push = -strength * gap * cone
         along = [x * inverse for x in sides]  # direction of sliding
         bend = cone * n * inverse
         pairs = combinations_with_replacement(range(len(self.friction)), 2)
         side = {(k, m): strength * self.friction[k] * self.friction[m] for k, m in pairs}
-        rows = list(zip(kinds, along, strict=True))
+        rows = list(zip(self._kinds, along, strict=True))
         hessian = [
             strength * cone * cone,
             *(side[k, k] * (bend * e * e + cone * cone - bend) for k, e in rows),
@@ -208,12 +233,29 @@ class Ellipse(Cone):
         ]
         pushes = [push, *(-push * e * self.friction[k] for k, e in rows)]
         slide_force = vadd(pushes, matvec(full(hessian), a))
-        across = [self.weight * (ratio * ratio)]
-        across += [across[0] * (other / mu) ** 2 for other in self.friction[1:]]
-        stick = padded([self.weight, *(across[kind] for kind in kinds)], len(hessian))
+        stick = padded(self._sticking, len(hessian))
         stick_force = matvec(full(stick), self.reference)
         both = zip([*stick, *stick_force], [*hessian, *slide_force], strict=True)
         return tuple(jnp.where(separated, 0, jnp.where(sticks, x, y)) for x, y in both)
+
+    def slopes(self, start: Vector, along: Vector) -> Callable[[Scalar], tuple[Scalar, Scalar]]:
+        """See `Cone.slopes`; without the matrices of `linear`, since a search asks for it many times."""
+        cone, away = self._slope, vsub(start, self.reference)
+        (n0, *sides0), (n1, *sides1) = self._scaled_rows(away), self._scaled_rows(along)
+        stiff = [mul(weight, x) for weight, x in zip(self._sticking, along, strict=True)]
+        pull, bend, square = dot(stiff, away), dot(stiff, along), dot(sides1, sides1)
+
+        def at(length: Scalar) -> tuple[Scalar, Scalar]:
+            n, sides = add(n0, mul(length, n1)), vadd(sides0, scale(length, sides1))
+            t, inverse, separated, sticks = self._zone(n, sides)
+            speed = dot(sides, sides1) * inverse  # of t
+            gap, faster = n - cone * t, n1 - cone * speed
+            turning = (square - speed * speed) * inverse
+            first = jnp.where(sticks, pull + length * bend, self._strength * gap * faster)
+            second = jnp.where(sticks, bend, self._strength * (faster * faster - cone * gap * turning))
+            return jnp.where(separated, 0, first), jnp.where(separated, 0, second)
+
+        return at
 
     def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
         """See `Cone.linear`."""

@@ -11,7 +11,7 @@ A world's result does not depend on the other worlds of its chunk: once converge
 solution bit for bit; with a line search the solution is kept.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 
@@ -33,13 +33,8 @@ from btr_mjx.engines.scalars import (
     Scalar,
     add,
     array,
-    dot,
-    full,
     group_sum,
-    matvec,
     mul,
-    neg,
-    scale,
     sub,
     vadd,
     vsub,
@@ -187,17 +182,18 @@ def constrained_acceleration(
         count, moving, old, models = carry
         x, links = _minimum_on_zones(problem, models, guess)
         a = [array(x_k, g.shape, g.dtype) for x_k, g in zip(x, guess, strict=True)]
-        if search:
-            length = _step_length(problem, old, a)
-            a = [jnp.where(moving, y + length * (z - y), y) for y, z in zip(old, a, strict=True)]
-            links = propagate(plan, motions, a)
         following = shaped(_models(constraints, a, links))
         moved = _zones_changed(constraints, models, following)
-        if search:
-            moved = moved & moving
-            pairs = zip(models, following, strict=True)
-            following = [tuple(jnp.where(moving, y, x) for x, y in zip(*pair, strict=True)) for pair in pairs]
-        return count + 1, moved, a, following
+        if not search:
+            return count + 1, moved, a, following
+        # Where the full step keeps its zones it is the solution: the search would find nothing but rounding errors.
+        moved = moved & moving
+        length = _step_length(problem, old, a, moved)
+        a = [jnp.where(moving, y + length * (z - y), y) for y, z in zip(old, a, strict=True)]
+        again = shaped(_models(constraints, a, propagate(plan, motions, a)))
+        pairs = zip(models, again, strict=True)
+        following = [tuple(jnp.where(moved, y, x) for x, y in zip(*pair, strict=True)) for pair in pairs]
+        return count + 1, moved & _zones_changed(constraints, models, again), a, following
 
     def searching(carry: tuple) -> jax.Array:
         return jnp.any(carry[1]) & (carry[0] < _MAX_NEWTON)
@@ -219,10 +215,24 @@ def _summed(plan: TreePlan, c: Constraint, x: Scalar) -> Scalar:
     return group_sum(x, plan.dof_size[c.dof] if isinstance(c, DofConstraint) else c.link.size)
 
 
-def _step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Sequence[jax.Array]) -> jax.Array:
+def _slopes(c: DofConstraint, start: jax.Array, along: jax.Array) -> Callable[[Scalar], tuple[Scalar, Scalar]]:
+    """See `Cone.slopes`."""
+
+    def at(length: Scalar) -> tuple[Scalar, Scalar]:
+        here = add(start, mul(length, along))
+        stiffness, force = c.effect(c.model(here))
+        return mul(along, sub(mul(stiffness, here), force)), mul(stiffness, mul(along, along))
+
+    return at
+
+
+def _step_length(
+    problem: ConstraintProblem, old: Sequence[jax.Array], new: Sequence[jax.Array], wanted: jax.Array
+) -> jax.Array:
     """Step lengths (C,), relative to the full step from `old` to `new` accelerations per dof, of the least cost.
 
-    The zero of the slope is found by Newton's method with bracketing and bisection, starting at the full step.
+    They are 1 in worlds in which none is wanted, bool (C,). The zero of the slope is found by Newton's method with
+    bracketing and bisection, starting at the full step.
     """
     plan, constraints, inertia, tau = problem.plan, problem.constraints, problem.inertia, problem.tau
     direction = [y - x for x, y in zip(old, new, strict=True)]
@@ -240,25 +250,18 @@ def _step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Sequ
     rays = []
     for c in constraints:
         if isinstance(c, Contact):
-            rays.append((c.acceleration(at[c.link.index]), c.acceleration(links[c.link.index])))
+            rays.append(c.cone.slopes(c.acceleration(at[c.link.index]), c.acceleration(links[c.link.index])))
         elif isinstance(c, Coupling):
-            rays.append((c.acceleration(old), c.acceleration(direction)))
+            rays.append(c.cone.slopes(c.acceleration(old), c.acceleration(direction)))
         else:
-            rays.append(([old[c.dof]], [direction[c.dof]]))
+            rays.append(_slopes(c, old[c.dof], direction[c.dof]))
 
     def evaluate(length: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Slope and curvature of the cost at a step length."""
         first, second = add(slope, mul(length, curve)), curve
-        for c, (start, d) in zip(constraints, rays, strict=True):
-            here = vadd(start, scale(length, d))
-            if isinstance(c, DofConstraint):
-                single, pull = c.effect(c.model(here[0]))
-                force, bent = [sub(pull, mul(single, here[0]))], [mul(single, d[0])]
-            else:
-                stiffness, push = c.cone.linear(c.cone.model(here))
-                force, bent = vsub(push, matvec(full(stiffness), here)), matvec(full(stiffness), d)
-            first = add(first, _summed(plan, c, neg(dot(force, d))))
-            second = add(second, _summed(plan, c, dot(bent, d)))
+        for c, ray in zip(constraints, rays, strict=True):
+            own = ray(length)
+            first, second = add(first, _summed(plan, c, own[0])), add(second, _summed(plan, c, own[1]))
         lanes = length.shape
         return array(first, lanes, length.dtype), array(second, lanes, length.dtype)
 
@@ -270,7 +273,7 @@ def _step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Sequ
         newton = length - first / jnp.where(second > 0, second, 1.0)
         inside = (newton > low) & (newton < high)
         halved = jnp.where(jnp.isfinite(high), 0.5 * (low + high), 2.0 * length)
-        going = jnp.abs(first) > _SLOPE_TOLERANCE * steepest
+        going = wanted & (jnp.abs(first) > _SLOPE_TOLERANCE * steepest)
         return count + 1, going, jnp.where(going, jnp.where(inside, newton, halved), length), low, high
 
     def searching(carry: tuple) -> jax.Array:
@@ -278,5 +281,5 @@ def _step_length(problem: ConstraintProblem, old: Sequence[jax.Array], new: Sequ
 
     lanes = jnp.ones(old[0].shape[-1], old[0].dtype)
     steepest = jnp.abs(evaluate(0.0 * lanes)[0])
-    start = (jnp.int32(0), lanes > 0, lanes, 0.0 * lanes, jnp.inf * lanes)
+    start = (jnp.int32(0), wanted, lanes, 0.0 * lanes, jnp.inf * lanes)
     return lax.while_loop(searching, newton_step, start)[2]
