@@ -23,7 +23,7 @@ from btr_mjx.gap.data.loading import load, with_imu
 from btr_mjx.gap.data.opening import open_dataset, open_logs
 from btr_mjx.gap.data.recordings.held import Held, bends, held, stairs
 from btr_mjx.gap.data.recordings.noise import Noise, estimate_noise, quantisation_noise, reduced_noise
-from btr_mjx.gap.data.recordings.recording import Recording, base_unmeasured, make_recording
+from btr_mjx.gap.data.recordings.recording import Recording, StateEstimate, base_unmeasured, make_recording
 from btr_mjx.gap.data.recordings.wraps import Wrap, find_wraps
 from btr_mjx.gap.data.writing import DatasetDescription, Format, save_dataset
 
@@ -39,6 +39,7 @@ __all__ = [
     "Noise",
     "Reader",
     "Recording",
+    "StateEstimate",
     "Wrap",
     "base_unmeasured",
     "bends",

@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 from gap_arm import SIGMA, arm, arm_windows, dataset, recording
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.data import StateEstimate
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.inference import Hypothesis
 from btr_mjx.gap.inference.scoring.forces import ForceFit, circumstances, describe, lack_of_fit
@@ -310,3 +313,21 @@ def test_windows_lie_inside_recordings_and_short_recordings_raise():
         assert f + k < len(made.fit[r].time)
     with pytest.raises(InputError, match="too short for a window"):
         place_windows(data, 5.0, 1e6, 10.0)
+
+
+def test_errors_of_estimates_that_last_are_no_residual():
+    """Of an estimated coordinate only changes count: it may be off by a constant."""
+    recordings, known = [recording(f"r{i}", seed=i) for i in range(2)], np.array([0.01, np.nan, np.nan, np.nan])
+
+    def windows(off):
+        shifted = [
+            replace(r, estimate=StateEstimate(0.1 * known, known), qpos=r.qpos + np.array([off, 0.0]))
+            for r in recordings
+        ]
+        return Windows(prepare(shifted, "cubic", SIGMA, Span(5, 6)), np.array([0, 1]), np.array([20, 40]), 8)
+
+    plain, moved = windows(0.0), windows(0.02)
+    states = plain.states([World.of])[0]
+    np.testing.assert_allclose(moved.whiten(states), plain.whiten(states), atol=1e-9)
+    assert plain.freedom == plain.correction.shape[1] - 5
+    np.testing.assert_allclose(plain.reach[:, 0], 0.02)  # starting states are as free as the estimate is uncertain
