@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from btr_mjx.backtoreality.reality.imu_readings import imu_readings
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import DISTANCE, Engine, EngineSettings, FitnessFunction, evaluate, fitness_at_marks
 from btr_mjx.gap.data import Recording
@@ -85,7 +86,7 @@ class SimulatedReality:
         return values * (1.0 + self.noise * np.array(draws)[:, ::-1])
 
     def record(self, controllers: ArrayLike, trials: ArrayLike) -> list[Recording]:
-        """Recordings of trials, with the noise of good sensors.
+        """Recordings of trials, with the noise of good sensors, and with the IMUs that the model has.
 
         Args:
           controllers: (m, n_c).
@@ -116,7 +117,8 @@ class SimulatedReality:
                 mujoco.mj_integratePos(model, qpos[k], error, 1.0)
             qvel = found.outcome.qvel[0, i] + rng.normal(size=(count, model.nv)) * sigma[:, 1]
             ctrl = np.stack([self.robot.signal(rows[i][:, None], t - late, np)[:, 0] for t in times])
-            out.append(Recording(f"trial {trial}", times, ctrl, qpos, qvel, np.ones(model.nv, bool), "fit", model))
+            sensor, seen = imu_readings(model, times, found.outcome.qpos[0, i], rng), np.ones(model.nv, bool)
+            out.append(Recording(f"trial {trial}", times, ctrl, qpos, qvel, seen, "fit", model, sensor=sensor))
         return out
 
 
