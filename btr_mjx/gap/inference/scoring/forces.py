@@ -39,6 +39,7 @@ class Circumstances:
       contact: (W, k, nv) bool: something below that degree of freedom touches.
       time: (W, k) since the recording's start [s].
       inverse: (W, k, nv, nv) inverse inertia.
+      estimated: (nv,) bool: positions that no sensor measured.
     """
 
     position: np.ndarray
@@ -48,6 +49,7 @@ class Circumstances:
     contact: np.ndarray
     time: np.ndarray
     inverse: np.ndarray
+    estimated: np.ndarray
 
 
 def circumstances(windows: Windows, base: MakeWorld) -> Circumstances:
@@ -82,7 +84,8 @@ def circumstances(windows: Windows, base: MakeWorld) -> Circumstances:
                         contact[w, k] |= below[model.geom_bodyid[geom]]
     started = np.array([r.time[0] for r in windows.data.recordings])[windows.recording]
     time = windows.time[:, :-1] - started[:, None]
-    return Circumstances(position, velocity, acceleration, load, contact, time, inverse)
+    estimated = np.isin(np.arange(windows.nv), windows.channels[windows.changes_only])
+    return Circumstances(position, velocity, acceleration, load, contact, time, inverse, estimated)
 
 
 def _below(model: mujoco.MjModel) -> np.ndarray:

@@ -126,7 +126,8 @@ def features(
     for dof in range(model.nv):
         x = away[..., dof]
         if dof not in plain:
-            out.append(Feature(dof, "position", None, x))
+            # Errors of an estimated position act as forces that follow it.
+            out += [] if around.estimated[dof] else [Feature(dof, "position", None, x)]
             continue
         out += [Feature(dof, "absolute position", None, np.abs(x)), Feature(dof, "position cubed", None, x**3)]
         for count in _RIPPLES:
