@@ -90,8 +90,16 @@ def with_fitted_states(windows: Windows, make: Callable[[mujoco.MjModel], World]
       make: the hypothesis.
       exact: compute the correction of the time step for the hypothesis; else that of `windows` is used.
     """
-    other = windows.copied()
-    other.qpos, other.qvel, other.base = fit_starting_states(windows, make, STEPS, windows.at(make), windows.correction)
+    other, states = windows.copied(), windows.at(make)
+    before = windows.states([make], start=windows.smoothed)[0]
+    anew = (windows.whiten(before) ** 2).sum(1) < (windows.whiten(states) ** 2).sum(1)
+    # States that another hypothesis was settled at are no better a beginning than the smoothed ones.
+    other.qpos, other.qvel = (
+        np.where(anew[:, None], smoothed, own)
+        for smoothed, own in zip(windows.smoothed, (windows.qpos, windows.qvel), strict=True)
+    )
+    states = np.where(anew[:, None, None], before, states)
+    other.qpos, other.qvel, other.base = fit_starting_states(other, make, STEPS, states, windows.correction)
     other.make_base = make
     if exact:
         other.correction = step_error(other, make, other.base)

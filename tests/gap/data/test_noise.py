@@ -35,13 +35,14 @@ def test_noise_is_reduced_to_model_residual(rng: np.random.Generator) -> None:
     """One channel has a tenth of the estimated noise; another has a larger residual, which may be a missing effect."""
     sigma, channels = np.array([1.0, 2.0, 3.0, 4.0]), np.array([0, 2, 3])
     left = np.array([1.0, 0.1, 5.0]) * rng.standard_normal((30, 50, 3))
-    found = reduced_noise(sigma, channels, left.reshape(30, -1), 150.0)
+    unknown = np.zeros(len(channels), bool)
+    found = reduced_noise(sigma, channels, left.reshape(30, -1), 150.0, unknown)
     assert found is not None
     np.testing.assert_allclose(found, [1.0, 2.0, 0.3, 4.0], rtol=0.05)
-    again = reduced_noise(found, channels, (left * (sigma / found)[channels]).reshape(30, -1), 150.0)
+    again = reduced_noise(found, channels, (left * (sigma / found)[channels]).reshape(30, -1), 150.0, unknown)
     assert again is None
     projected = np.sqrt(0.4) * rng.standard_normal((30, 150))  # less is left where much was fitted, which is no noise
-    assert reduced_noise(sigma, channels, projected, 60.0) is None
+    assert reduced_noise(sigma, channels, projected, 60.0, unknown) is None
 
 
 def test_no_sensor_is_quieter_than_its_digits(rng: np.random.Generator) -> None:

@@ -120,7 +120,9 @@ def without_sensor(noise: Noise, seen: np.ndarray) -> Noise:
     return Noise(np.where(seen, noise.qpos, POSITION_SIGMA), np.where(seen, noise.qvel, VELOCITY_SIGMA))
 
 
-def reduced_noise(sigma: np.ndarray, channels: np.ndarray, residual: np.ndarray, freedom: float) -> np.ndarray | None:
+def reduced_noise(
+    sigma: np.ndarray, channels: np.ndarray, residual: np.ndarray, freedom: float, known: np.ndarray
+) -> np.ndarray | None:
     """Reduce a noise estimate where the residual of a model is smaller than the estimate.
 
     Commands that change at every sample excite motion that is not smooth, which `estimate_noise` counts as noise. The
@@ -131,12 +133,13 @@ def reduced_noise(sigma: np.ndarray, channels: np.ndarray, residual: np.ndarray,
       channels: (c,) indices of the measured coordinates.
       residual: (W, R) residual of a model in units of the estimate, R = samples * c, channel index last.
       freedom: residual degrees of freedom of a window.
+      known: (c,) bool: coordinates whose noise is no estimate of this kind.
 
     Returns:
       (2 nv,) the reduced estimate; None if no channel needs a reduction.
     """
     share = (residual.reshape(len(residual), -1, len(channels)) ** 2).mean(1) * (residual.shape[1] / freedom)
-    part = np.median(share, axis=0)
+    part = np.where(known, 1.0, np.median(share, axis=0))
     if (part >= _MIN_VARIANCE_RATIO).all():
         return None
     out = sigma.copy()

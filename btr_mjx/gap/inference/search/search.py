@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Dataset, known_of, noise_of, reduced_noise, with_imu
+from btr_mjx.gap.data import Dataset, noise_of, reduced_noise, with_imu
 from btr_mjx.gap.effects import Candidate, Effect, Hypothesis, candidates
 from btr_mjx.gap.inference.scoring.calibration import tolerance_draws, with_nonlinear_tolerances
 from btr_mjx.gap.inference.scoring.gains import fall
@@ -111,11 +111,10 @@ class Bench:
         entries = self._prepared(effects, tracks, note)
         for _ in range(_QUIETER if dataset.noise is None else 0):
             windows = self.fit.windows
-            less = reduced_noise(self.sigma, windows.channels, windows.residual, windows.freedom)
+            less = reduced_noise(self.sigma, windows.channels, windows.residual, windows.freedom, windows.changes_only)
             if less is None:
                 break
-            estimated = known_of(dataset.recordings, "sigma")
-            self.sigma, self.options = np.where(np.isnan(estimated), less, estimated), options or Options()
+            self.sigma, self.options = less, options or Options()
             entries = self._prepared(effects, tracks, note)
         note(f"signatures of {len(entries)} candidates")
         self._draws = tolerance_draws(self.base, self.candidates, self.tolerances, np.random.default_rng(0), _DRAWS)
