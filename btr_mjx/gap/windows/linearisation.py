@@ -1,6 +1,5 @@
 """Linearisation of windows around a hypothesis: fitted starting states, and derivatives with respect to them."""
 
-import mujoco
 import numpy as np
 
 from btr_mjx.gap.windows.propagation import jacobian, linearisation_holds
@@ -9,10 +8,6 @@ from btr_mjx.gap.windows.time_steps import choose_time_step, step_error
 from btr_mjx.gap.windows.transitions import state_jacobians, stride, transition_change, transitions
 from btr_mjx.gap.windows.window_fits import column_space
 from btr_mjx.gap.windows.windows import MakeWorld, Windows
-from btr_mjx.models import integrate
-
-_SHARES = (-0.75, -0.375, 0.375, 0.75)
-"""Moves of starting poses that are tried, as shares of their reach."""
 
 _MAX_CHANGE = 1.0
 """Value of `transition_change` above which the transition matrix of an interval is differentiated again."""
@@ -31,7 +26,7 @@ def linearise(windows: Windows, make: MakeWorld, steps: int = 5) -> Windows:
     Returns:
       Those windows in which the linearisation holds at the smoothed starting states and at the fitted ones.
     """
-    out = settled(windows, make)
+    out = windows.copied()
     out.base, out.correction = choose_time_step(out, make)
     out.make_base, out.stride = make, stride(out, make, out.base)
     out.transitions, out.perturbed_ends = transitions(out, make, out.base)
@@ -44,34 +39,6 @@ def linearise(windows: Windows, make: MakeWorld, steps: int = 5) -> Windows:
     out.project_partially(out.partial_basis)
     out.correction = step_error(out, make, out.base)
     out.clear_residuals()
-    return out
-
-
-def settled(windows: Windows, make: MakeWorld) -> Windows:
-    """A copy of windows whose starting poses of free bodies are those, within their reach, with the smallest residual.
-
-    A foot that begins above the ground by a millimetre touches later, which no derivative at that state knows.
-
-    Args:
-      windows: with smoothed starting states.
-      make: the hypothesis.
-    """
-    out, model = windows.copied(), windows.models[0]
-    free = np.flatnonzero(model.jnt_type[model.dof_jntid] == mujoco.mjtJoint.mjJNT_FREE)
-    if not len(free):
-        return out
-    least = (out.whiten(out.states([make])[0]) ** 2).sum(1)
-    for dof in free:
-        start, best, before = out.qpos, out.qpos.copy(), least
-        for share in _SHARES:
-            move = share * out.reach[:, : out.nv] * (np.arange(out.nv) == dof)
-            qpos = integrate(model, start, move)
-            chi2 = (out.whiten(out.states([make], start=(qpos, out.qvel))[0]) ** 2).sum(1)
-            if np.allclose(chi2, before, rtol=1e-3):
-                break  # such as a place on flat ground
-            best[chi2 < least] = qpos[chi2 < least]
-            least = np.minimum(chi2, least)
-        out.qpos = best
     return out
 
 

@@ -39,6 +39,7 @@ def test_noise_is_reduced_to_model_residual(rng: np.random.Generator) -> None:
     found = reduced_noise(sigma, channels, left.reshape(30, -1), 150.0, unknown)
     assert found is not None
     np.testing.assert_allclose(found, [1.0, 2.0, 0.3, 4.0], rtol=0.05)
+    assert reduced_noise(sigma, channels, left.reshape(30, -1), 150.0, ~unknown) is None
     again = reduced_noise(found, channels, (left * (sigma / found)[channels]).reshape(30, -1), 150.0, unknown)
     assert again is None
     projected = np.sqrt(0.4) * rng.standard_normal((30, 150))  # less is left where much was fitted, which is no noise
