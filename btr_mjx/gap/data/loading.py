@@ -197,13 +197,16 @@ def _stretches(
 
 
 def _with_bases(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list[list[Recording]]:
-    """The recordings, with estimated states of a base whose pose was not measured."""
+    """Recordings with estimated states of a base without a measured pose, unless its IMU contradicts itself."""
     hidden = [one for group in groups for one in group if base_unmeasured(one)]
     if not hidden:
         return [list(group) for group in groups]
     from btr_mjx.gap.data.base.estimate import estimate_bases  # slow to load
 
-    found = iter(estimate_bases(hidden, notes))
+    try:
+        found = iter(estimate_bases(hidden, notes))
+    except np.linalg.LinAlgError:  # the checks say what is wrong with the IMU
+        return [list(group) for group in groups]
     return [[next(found) if base_unmeasured(one) else one for one in group] for group in groups]
 
 

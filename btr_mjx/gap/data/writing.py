@@ -26,10 +26,10 @@ def recording_columns(recording: Recording) -> dict[str, np.ndarray]:
     columns = {"time": recording.time}
     columns |= dict(zip(control_columns(recording.model), recording.ctrl.T, strict=True))
     model = recording.model
-    seen = np.repeat(recording.seen[model.jnt_dofadr], np.diff([*model.jnt_qposadr, model.nq]))
+    seen = np.repeat(recording.sensed[model.jnt_dofadr], np.diff([*model.jnt_qposadr, model.nq]))
     position = zip(positions, recording.qpos.T, seen, strict=True)
     columns |= {name: values for name, values, measured in position if measured}
-    velocity = zip(velocities, recording.qvel.T, recording.qvel_measured, strict=True)
+    velocity = zip(velocities, recording.qvel.T, recording.qvel_measured & recording.sensed, strict=True)
     columns |= {name: values for name, values, measured in velocity if measured}
     columns |= {f"force/{name}": values for name, values in recording.force.items()}
     columns |= {f"sensor/{name}": values for name, values in recording.sensor.items()}

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Dataset, Noise, counted, listed, noise_of
+from btr_mjx.gap.data import Dataset, Noise, base_unmeasured, counted, listed, noise_of
 from btr_mjx.gap.preflight.conventions import position_conventions
 from btr_mjx.gap.preflight.drift import clock_drift
 from btr_mjx.gap.preflight.excitation import NO_GROUND, JointTrack, joint_tracks, moves, unexcited_effects
@@ -37,6 +37,12 @@ _FAULTS_OF_DATA = ("convention", "units", "repeats", "wrap", "clocks")
 """Topics of errors that the data, rather than the robot, are to blame for."""
 
 
+_NO_MOTION = (
+    "the pose of the base was not measured, and its IMU and the feet contradict each other, so that its motion cannot "
+    "be estimated: correct the units and axes of the IMU, or record the pose"
+)
+
+
 def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Finding]:
     """Run all checks.
 
@@ -56,7 +62,7 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
     for line in dict.fromkeys(note for recording in dataset.recordings for note in recording.notes):
         names = [r.name for r in dataset.recordings if line in r.notes]
         of = "" if len(names) == len(dataset.recordings) else f" ({listed(names)})"
-        estimated = line.startswith(("joints without an encoder", "poses that were not measured"))
+        estimated = line.startswith("joints without an encoder")
         level: Level = "warning" if estimated else "note"
         findings.append(Finding(level, "loading", line + of))
     findings += sampling(dataset)
@@ -68,6 +74,7 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
     findings += _excitation(dataset, joints, effects)
     if all(finding.level != "error" for finding in findings):
         findings += imu_conventions(dataset)
+        findings += [Finding("error", "base", _NO_MOTION)] if any(map(base_unmeasured, dataset.recordings)) else []
     if all(finding.level != "error" for finding in findings):
         findings += undecided_signs(dataset, noise) + stability(dataset)
     if all(finding.level != "error" for finding in findings):

@@ -15,7 +15,7 @@ import numpy as np
 from btr_mjx.gap.data import Dataset, listed, quoted
 from btr_mjx.gap.preflight.comparison import compare
 from btr_mjx.gap.preflight.findings import Finding, Level
-from btr_mjx.gap.preflight.imu_vectors import ImuVectors, imu_vectors, poses_measured
+from btr_mjx.gap.preflight.imu_vectors import ImuVectors, imu_vectors
 from btr_mjx.gap.preflight.lerobot_tables import toml_lines
 from btr_mjx.models import part_names
 
@@ -69,7 +69,7 @@ def imu_conventions(dataset: Dataset) -> list[Finding]:
     """Findings about gyros and accelerometers: errors where they stand in for a pose that was not measured."""
     model, names = dataset.model, part_names(dataset.model, "sensor")
     free = model.jnt_dofadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
-    measured = all(poses_measured(recording)[free].all() for recording in dataset.recordings)
+    measured = all(recording.sensed[free].all() for recording in dataset.recordings)
     level: Level = "warning" if measured else "error"
     kinds = int(mujoco.mjtSensor.mjSENS_GYRO), int(mujoco.mjtSensor.mjSENS_ACCELEROMETER)
     found: dict[int, dict[int, str]] = {}

@@ -116,15 +116,9 @@ def _poses(recording: Recording, site: int, rows: np.ndarray) -> tuple[np.ndarra
     return None
 
 
-def poses_measured(recording: Recording) -> np.ndarray:
-    """(nv,) bool: which positions were measured, rather than estimated, from the IMU itself or otherwise."""
-    estimate = recording.estimate
-    return recording.seen if estimate is None else recording.seen & np.isnan(estimate.sigma[: recording.model.nv])
-
-
 def _all_measured(recording: Recording, body: int) -> bool:
     """Whether all joints between a body and the world were measured."""
-    model, measured = recording.model, poses_measured(recording)
+    model, measured = recording.model, recording.sensed
     while body > 0:
         dofs = slice(model.body_dofadr[body], model.body_dofadr[body] + model.body_dofnum[body])
         if model.body_dofnum[body] and not measured[dofs].all():

@@ -84,6 +84,9 @@ def eliminated(
       fixed: (9,) weights that hold the first sample where it is.
       information: (9, 9) of what is known of the border before.
       pull: (9,) gradient of what is known of the border.
+
+    Raises:
+      LinAlgError: residuals are not finite.
     """
     own, next_, across = np.zeros((count, N, N)), np.zeros((count, N, N)), np.zeros((count, N, N))
     gradient, information, pull = np.zeros((count, N)), information.copy(), pull.copy()
@@ -99,6 +102,8 @@ def eliminated(
             np.add.at(next_, part.sample, np.swapaxes(part.slope, 1, 2) @ part.ahead)
         information += np.einsum("nda,ndb->ab", part.border, part.border)
         pull += np.einsum("nda,nd->a", part.border, part.residual)
+    if not np.isfinite(gradient).all():
+        raise np.linalg.LinAlgError("residuals are not finite")
     banded = np.zeros((2 * N, N * count))  # lower form: row i - j, column j
     for j in range(N):
         for i in range(j, N):

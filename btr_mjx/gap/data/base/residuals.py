@@ -123,7 +123,7 @@ def touches(
     """
     k, eye = points.sample, np.eye(3)
     turn, spin, arm = motion.turn.as_matrix()[k], inertia.spin[k], _cross(points.place)
-    load = np.maximum(motion.turn.apply(inertia.force) @ -gravity / (gravity @ gravity), 0.0)
+    load = np.maximum(motion.turn.apply(inertia.force) @ -gravity / max(gravity @ gravity, 1e-9), 0.0)
     sunk = motion.softness * load / np.maximum(motion.carrying, 1.0)
     depth = points.distances(motion.place[k] + np.einsum("nij,nj->ni", turn, points.place)) + sunk[k]
     own, normal = (np.einsum("nji,nj->ni", turn, vector) for vector in (motion.velocity[k], points.normal))

@@ -48,6 +48,9 @@ def smoothed_bases(
     Returns:
       The motion of each recording, the rotation that was found, and (3,) its standard deviations about the axes of the
       base [rad].
+
+    Raises:
+      LinAlgError: measurements of the unit contradict each other.
     """
     motions, found = [first_estimate(*pair, mount) for pair in zip(units, legs, strict=True)], mount
     for step in range(_STEPS):
@@ -66,6 +69,8 @@ def smoothed_bases(
         steps = [_border(system, turned) for system in systems]
         changes = [system.step(border) for system, border in zip(systems, steps, strict=True)]
         last = max(float(np.abs(change[:, 3:6]).max()) for change in changes) < _CONVERGED or step == _STEPS - 1
+        if not all(np.isfinite(change).all() for change in changes):
+            raise np.linalg.LinAlgError("the unit's measurements contradict each other")
         motions = [_moved(*row) for row in zip(after, changes, steps, strict=True)]
         found = Rotation.from_rotvec(turned) * found
         if last:

@@ -96,6 +96,11 @@ class Recording:
         """(nv,) bool: which positions were measured."""
         return np.ones(self.model.nv, bool) if self.qpos_measured is None else self.qpos_measured
 
+    @property
+    def sensed(self) -> np.ndarray:
+        """(nv,) bool: coordinates that encoders or trackers measured; others were estimated, or not known at all."""
+        return self.seen if self.estimate is None else self.seen & np.isnan(self.estimate.sigma[: self.model.nv])
+
     def reported(self, actuators: Sequence[int] | np.ndarray) -> np.ndarray:
         """(K, m) forces that the drives of some actuators report."""
         names = part_names(self.model, "actuator")

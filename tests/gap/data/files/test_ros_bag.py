@@ -143,6 +143,7 @@ def test_imus_are_those_of_the_model(tmp_path: Path, whole: bool, pose: bool) ->
     lines = '<sensor><gyro name="g" site="s"/><accelerometer name="a" site="s"/>{}</sensor>'
     turn = '<framequat name="q" objtype="site" objname="s"/>'
     body = FLOATER.replace('<freejoint name="root"/>', '<freejoint name="root"/><site name="s"/>')
+    body = body.replace("<worldbody>", '<worldbody><geom type="plane" size="9 9 1" pos="0 0 -9"/>')
     for text in (body.replace("</worldbody>", f"</worldbody>{lines.format(own)}") for own in (turn, "")):
         (tmp_path / "robot.xml").write_text(text)
         first = open_dataset(tmp_path).recordings[0]
@@ -151,7 +152,7 @@ def test_imus_are_those_of_the_model(tmp_path: Path, whole: bool, pose: bool) ->
         np.testing.assert_allclose(first.measured_by("a"), sensed[rows, 3:6], atol=1e-9)
         quaternions = first.measured_by("q")
         assert (quaternions is not None) == (whole and text.count("framequat") > 0)
-        assert first.seen.all() == pose
+        assert first.sensed.all() == pose
     raw = '[model]\nfile = "robot.xml"\n[[recording]]\nfile = "run"\n[topics]\nimu = "/imu/data_raw"\n'
     (tmp_path / "dataset.toml").write_text(raw)
     np.testing.assert_allclose(open_dataset(tmp_path).recordings[0].measured_by("g"), 2 * sensed[rows, :3], atol=1e-9)
