@@ -46,8 +46,8 @@ import btr_mjx
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.runs import describe_environment, note, progress, read_json, write_json
 
-QUICK = Budget(controllers=12, generations=2, rounds=2, draws=3, simulations=6, simulation_generations=3, jacobians=2)
-"""Budget of --quick: whether everything runs, not how well."""
+QUICK = Budget(controllers=24, generations=6, rounds=2, draws=4, simulations=12, simulation_generations=6, jacobians=3)
+"""Budget of --quick, for a look."""
 FRESH = 12
 """Random controllers on which predictions are compared with reality."""
 
@@ -65,7 +65,7 @@ class Config:
     seeds: int = 1
     """Seeds of every contestant in every reality."""
     quick: bool = False
-    """A tiny budget of simulations."""
+    """A small budget of simulations."""
     out: Path = Path("runs/league")
     """Folder of the exchange folders and of what is kept."""
     json: Path | None = None
@@ -74,9 +74,8 @@ class Config:
 
 def league_digest() -> str:
     """Digest of the package, the robots, the contestants and the realities; 12 hexadecimal digits."""
-    folders = [Path(str(btr_mjx.__file__)).parent, EXAMPLES, *(BENCHMARKS / own for own in _FOLDERS)]
-    total = hashlib.sha256()
-    for folder in folders:
+    total = hashlib.sha256(Path(__file__).read_bytes())
+    for folder in (Path(str(btr_mjx.__file__)).parent, EXAMPLES, *(BENCHMARKS / own for own in _FOLDERS)):
         for path in sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".xml", ".j2", ".toml")):
             total.update(f"\n{path.relative_to(folder)}\n".encode() + path.read_bytes())
     return total.hexdigest()[:12]

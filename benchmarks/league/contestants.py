@@ -12,8 +12,8 @@ import numpy as np
 from contest import Answer, Task, best_index, coded, evolved
 
 import btr_mjx as btr
-from btr_mjx.backtoreality import CoevolveConfig, build_problem, grown, select_transferable
-from btr_mjx.backtoreality.algorithm import run_in_memory
+from btr_mjx.backtoreality import CoevolveConfig, begin, build_problem, grown, select_transferable
+from btr_mjx.backtoreality.algorithm import advance
 from btr_mjx.evaluation import fitness_function
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.models import base_model
@@ -138,6 +138,9 @@ def _fitted(task: Task, robot: Robot, simulation: np.ndarray) -> np.ndarray:
 def back_to_reality(task: Task, grow_from: Literal["recordings", "fitness"] | None = None) -> Answer:
     """Back-to-Reality: CMA-ES on what is unknown, from fitness; with growth where data of it are named."""
     budget = task.budget
+    # The first controller is the best one of the believed model; coevolve itself would take a random one.
+    generations = budget.generations * budget.rounds // (budget.rounds + 1)
+    first, scores = evolved(task.robot, task.robot.nominal_simulation[None], budget, generations, [task.seed, 1])
     config = CoevolveConfig(
         unknown=task.unknown,
         reality="folder",
@@ -148,7 +151,7 @@ def back_to_reality(task: Task, grow_from: Literal["recordings", "fitness"] | No
         iterations=budget.rounds,
         trials=(task.trials - 1) // budget.rounds,  # the first controller is a trial, too
         controllers=budget.controllers,
-        controller_generations=budget.generations,
+        controller_generations=generations,
         simulations=budget.simulations,
         simulation_generations=budget.simulation_generations,
         grow=grow_from is not None,
@@ -156,7 +159,9 @@ def back_to_reality(task: Task, grow_from: Literal["recordings", "fitness"] | No
         seed=task.seed,
     )
     problem = replace(build_problem(config, task.robot), reality=task.reality)
-    state = run_in_memory(problem)
+    state = begin(problem, first[np.unravel_index(best_index(task.robot, scores), scores.shape)])
+    while state.phase != "done":
+        state = advance(problem, state)
     added = tuple(f"{entry['effect']}@{entry['location']}" for entry in state.grown)
     return _handed_in(task, grown(problem, state.grown).robot, state.simulation[None], added)
 

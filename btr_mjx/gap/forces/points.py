@@ -182,10 +182,13 @@ def _calibration_columns(side: ForceSide, point: Point, stretches: Stretches) ->
     numbers = []
     for entry, value in zip(library.calibrated, point.calibration, strict=True):
         own, index = library.numbers[entry.columns[0][0]], calibrated_number(library, entry)
-        at = entry.candidate.null
+        at, whole = entry.candidate.null, entry.candidate.parameters[index]
         # Numbers of the model that may be refitted are written as they are, other effects are added to what is there.
-        at[index] += value if entry.candidate.effect.name.startswith(BELIEVED) else 0.0
-        numbers.append(FreeNumber(entry.candidate, index, tuple(at), own.step))
+        if entry.candidate.effect.name.startswith(BELIEVED):
+            at[index] = np.clip(at[index] + value, whole.low, whole.high)
+        # Beyond its bounds there may be no model.
+        inside = whole.low <= at[index] + own.step <= whole.high
+        numbers.append(FreeNumber(entry.candidate, index, tuple(at), own.step if inside else -own.step))
     return responses(stretches, point.hypothesis(library), numbers, side.counter)
 
 
