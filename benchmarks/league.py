@@ -13,11 +13,8 @@ random controller (0, the median of a few) and that of the oracle (1). Rows are 
 that the same command continues a killed run.
 """
 
-import hashlib
 import os
-import shutil
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,28 +25,17 @@ sys.path.insert(0, str(Path(__file__).parent / "league"))
 
 import numpy as np
 import tyro
-from contest import (
-    BENCHMARKS,
-    EXAMPLES,
-    REALITIES,
-    Budget,
-    Room,
-    Task,
-    league_robot,
-    predicted,
-    run_sealed,
-    unknown_of,
-)
+from contest import REALITIES, Budget
 from contestants import CONTESTANTS
+from rows import contest, league_digest, yardstick
 
-import btr_mjx
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.runs import describe_environment, note, progress, read_json, write_json
 
 QUICK = Budget(controllers=24, generations=6, rounds=2, draws=4, simulations=12, simulation_generations=6, jacobians=3)
 """Budget of --quick, for a look."""
-FRESH = 12
-"""Random controllers on which predictions are compared with reality."""
+SORTS = {"library": "effects", "outside": "outside", "nothing": "nothing"}
+"""What is hidden in a reality, and the title of its column."""
 
 
 @dataclass(frozen=True)
@@ -72,71 +58,6 @@ class Config:
     """Write all rows here."""
 
 
-def league_digest() -> str:
-    """Digest of the package, the robots, the contestants and the realities; 12 hexadecimal digits."""
-    total = hashlib.sha256(Path(__file__).read_bytes())
-    for folder in (Path(str(btr_mjx.__file__)).parent, EXAMPLES, *(BENCHMARKS / own for own in _FOLDERS)):
-        for path in sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".xml", ".j2", ".toml")):
-            total.update(f"\n{path.relative_to(folder)}\n".encode() + path.read_bytes())
-    return total.hexdigest()[:12]
-
-
-_FOLDERS = ("league", "league_robots", "hidden_cases")
-
-
-def contest(config: Config, reality: str, contestant: str, seed: int, exchange: Path) -> dict[str, Any]:
-    """One contestant in one reality: what it tried, how good its controller is there, and what it predicts.
-
-    Args:
-      config: has trials and budget.
-      reality: name of the reality.
-      contestant: name of the contestant.
-      seed: of the contestant.
-      exchange: folder in which trials are exchanged; what is there is removed.
-    """
-    shutil.rmtree(exchange, ignore_errors=True)
-    robot, room = league_robot(reality), Room(reality, exchange / "trials", config.trials)
-    row: dict[str, Any] = {"reality": reality, "contestant": contestant, "seed": seed}
-    begun = time.process_time()
-    try:
-        answer = CONTESTANTS[contestant](Task(robot, unknown_of(robot), room, config.trials, seed, budget_of(config)))
-    except InputError as error:
-        return row | {"failed": str(error)}
-    row |= {"cpu_seconds": time.process_time() - begun, "found": list(answer.found)}
-    row |= {"measured": room.tried()[1].tolist(), "controller": answer.controller.tolist()}
-    row["fitness"] = float(Room(reality, exchange / "exam", 1, exact=True).measure(answer.controller, 0)[0, -1])
-    if answer.robot is not None and answer.simulations is not None:
-        row["predicted"] = predicted(answer.robot, answer.simulations, fresh_controllers(reality)).tolist()
-    return row
-
-
-def yardstick(config: Config, reality: str, folder: Path) -> dict[str, Any]:
-    """What is compared with: real fitness of the oracle and of random controllers, and what was hidden.
-
-    Args:
-      config: has the budget.
-      reality: name of the reality.
-      folder: for files; what is there is removed.
-    """
-    shutil.rmtree(folder, ignore_errors=True)
-    write_json(folder / "budget.json", budget_of(config))
-    run_sealed("oracle", reality, str(folder / "oracle.json"), "0", str(folder / "budget.json"))
-    found = read_json(folder / "oracle.json")
-    rows = np.concatenate([[found["controller"]], fresh_controllers(reality)])
-    fitness = Room(reality, folder / "exam", len(rows), exact=True).measure(rows, 0)[:, -1]
-    return dict(found) | {"reality": reality, "fitness": float(fitness[0]), "fresh": fitness[1:].tolist()}
-
-
-def fresh_controllers(reality: str) -> np.ndarray:
-    """Random controllers (`FRESH`, n_c) that no contestant has seen."""
-    return league_robot(reality).controller_box.sample(np.random.default_rng(8128), FRESH)
-
-
-def budget_of(config: Config) -> Budget:
-    """The budget of every contestant and of the oracle."""
-    return QUICK if config.quick else Budget()
-
-
 def share(fitness: np.ndarray | float, yard: Mapping[str, Any]) -> Any:
     """Real fitness between that of a random controller (0) and that of the oracle (1)."""
     worst = float(np.nanmedian(yard["fresh"]))
@@ -152,8 +73,9 @@ def judged(row: Mapping[str, Any], yard: Mapping[str, Any], trials: int) -> dict
       trials: trials that were allowed.
 
     Returns:
-      The row. `regret` is the mean over trials of what the best controller so far lacks to the oracle, in shares of it;
-      `delta` is Delta_fitness on fresh controllers, over the oracle's gain on a random one, None without a simulator.
+      The row. `regret` is the mean over trials of what the best controller so far lacks to the oracle;
+      `delta` is Delta_fitness on fresh controllers, on the scale of scores, None without a simulator. A trial that
+      failed counts as that of a random controller.
     """
     out = {**row, "sort": yard["sort"], "hidden": yard["hidden"], "score": None, "regret": None, "delta": None}
     if "failed" in row:
@@ -161,7 +83,7 @@ def judged(row: Mapping[str, Any], yard: Mapping[str, Any], trials: int) -> dict
     shares = np.nan_to_num(share(row["measured"], yard), nan=0.0)
     best = np.maximum.accumulate(np.maximum(shares, 0.0))
     best = np.concatenate([best, np.full(max(0, trials - len(best)), best[-1])])
-    out |= {"score": float(share(row["fitness"], yard)), "regret": float(np.mean(1 - best))}
+    out |= {"score": float(np.nan_to_num(share(row["fitness"], yard))), "regret": float(np.mean(1 - best))}
     if "predicted" in row:
         apart = np.abs(share(row["predicted"], yard) - share(yard["fresh"], yard))
         out["delta"] = float(np.nanmean(apart))
@@ -190,20 +112,21 @@ def league(config: Config) -> dict[str, Any]:
         for reality in realities
         for contestant in config.contestants or CONTESTANTS
     ]
-    code, how = league_digest(), "quick" if config.quick else "full"
-    kept, rows, yards = config.out / code / how, list[dict[str, Any]](), dict[str, dict[str, Any]]()
+    budget = QUICK if config.quick else Budget()
+    code = league_digest(budget)
+    kept, rows, yards = config.out / code, list[dict[str, Any]](), dict[str, dict[str, Any]]()
     with progress(total=len(wanted) + len(realities), description="league", unit="rows", show=True) as bar:
         for reality, contestant, seed in wanted:
             name = f"{reality}-{contestant}-{seed}-{config.trials}"
             file = kept / f"{name}.json"
             if not file.is_file():
-                write_json(file, contest(config, reality, contestant, seed, kept / "exchange" / name))
+                write_json(file, contest(reality, contestant, seed, config.trials, budget, kept / "exchange" / name))
             rows.append(read_json(file))
             bar.update(1)
         for reality in realities:
             file = kept / f"{reality}.json"
             if not file.is_file():
-                write_json(file, yardstick(config, reality, kept / "oracle" / reality))
+                write_json(file, yardstick(reality, budget, kept / "oracle" / reality))
             yards[reality] = read_json(file)
             bar.update(1)
     rows = [judged(row, yards[row["reality"]], config.trials) for row in rows]
@@ -211,9 +134,10 @@ def league(config: Config) -> dict[str, Any]:
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
-    """Cells of the table: a line for each contestant, with its mean score by robot, and the means of all numbers."""
+    """Cells of the table: for each contestant its mean score by robot and by what is hidden, and means of all."""
     robots = list(dict.fromkeys(row["reality"].partition("-")[0] for row in rows))
-    out = [["contestant", *robots, "score", "regret", "Delta_fitness", "CPU-s"]]
+    sorts = [sort for sort in SORTS if any(row["sort"] == sort for row in rows)]
+    out = [["contestant", *robots, *(SORTS[sort] for sort in sorts), "score", "regret", "Delta_fitness", "CPU-s"]]
 
     def mean(own: Sequence[Mapping[str, Any]], key: str, digits: int = 2) -> str:
         values = [row[key] for row in own if row.get(key) is not None]
@@ -221,9 +145,10 @@ def table(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
 
     for contestant in dict.fromkeys(row["contestant"] for row in rows):
         own = [row for row in rows if row["contestant"] == contestant]
-        by_robot = [mean([row for row in own if row["reality"].startswith(f"{robot}-")], "score") for robot in robots]
-        out.append([contestant, *by_robot, *(mean(own, key) for key in ("score", "regret", "delta"))])
-        out[-1].append(mean(own, "cpu_seconds", 0))
+        parts = [[row for row in own if row["reality"].startswith(f"{robot}-")] for robot in robots]
+        parts += [[row for row in own if row["sort"] == sort] for sort in sorts]
+        means = [mean(own, key) for key in ("score", "regret", "delta")]
+        out.append([contestant, *(mean(part, "score") for part in parts), *means, mean(own, "cpu_seconds", 0)])
     return out
 
 

@@ -25,7 +25,7 @@ def parts(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """The modules; what a process of its own would measure is measured in this one."""
     for folder in (FOLDER, FOLDER / "league"):
         monkeypatch.syspath_prepend(str(folder))
-    own = {name: importlib.import_module(name) for name in ("contest", "contestants", "league", "sealed")}
+    own = {name: importlib.import_module(name) for name in ("contest", "contestants", "league", "rows", "sealed")}
 
     def here(*words: str) -> None:
         if words[0] == "measure":
@@ -35,7 +35,7 @@ def parts(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
             own["sealed"].oracle(words[1], Path(words[2]), int(words[3]), budget)
 
     monkeypatch.setattr(own["contest"], "run_sealed", here)
-    monkeypatch.setattr(own["league"], "run_sealed", here)
+    monkeypatch.setattr(own["rows"], "run_sealed", here)
     yield SimpleNamespace(**own)
     own["sealed"].reality.cache_clear()
 
@@ -76,16 +76,14 @@ def imported(module: str) -> set[str]:
 
 def test_contestants_do_not_import_the_truth() -> None:
     assert imported("contestants") == {"contestants", "contest"}
-    assert imported("league") == {"league", "contestants", "contest"}
+    assert imported("league") == {"league", "rows", "contestants", "contest"}
     assert {"hidden_cases", "contest"} < imported("sealed")
 
 
 def test_the_score_of_the_oracle_is_1(parts: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     budget = parts.contest.Budget(controllers=6, generations=2, rounds=1)
-    monkeypatch.setattr(parts.league, "budget_of", lambda config: budget)
-    config = parts.league.Config(trials=8)
-    yard = parts.league.yardstick(config, "finger-0", tmp_path / "oracle")
-    fresh = parts.league.fresh_controllers("finger-0")
+    yard = parts.rows.yardstick("finger-0", budget, tmp_path / "oracle")
+    fresh = parts.rows.fresh_controllers("finger-0")
     middle = fresh[np.argsort(yard["fresh"])[len(fresh) // 2]]
     for controller, score in ((np.array(yard["controller"]), 1.0), (middle, 0.0)):
 
@@ -93,9 +91,9 @@ def test_the_score_of_the_oracle_is_1(parts: Any, tmp_path: Path, monkeypatch: p
             task.reality.measure(controller, 0)
             return parts.contest.Answer(controller)
 
-        monkeypatch.setattr(parts.league, "CONTESTANTS", {"own": contestant})
-        row = parts.league.contest(config, "finger-0", "own", 0, tmp_path / "exchange")
-        judged = parts.league.judged(row, yard, config.trials)
+        monkeypatch.setattr(parts.rows, "CONTESTANTS", {"own": contestant})
+        row = parts.rows.contest("finger-0", "own", 0, 8, budget, tmp_path / "exchange")
+        judged = parts.league.judged(row, yard, 8)
         # Of 12 random controllers, the median lies between two.
         assert judged["score"] == (1.0 if score else pytest.approx(0.0, abs=0.2))
         # Nothing is worse than a random controller; sensors have noise.
@@ -152,5 +150,6 @@ def test_the_league_goes_on_where_it_was_killed(tmp_path: Path) -> None:
     rows = json.loads((tmp_path / "all.json").read_text())["rows"]
     assert [row["contestant"] for row in rows] == ["believed", "no_simulator"]
     assert all(len(row["measured"]) == 8 and 0 < row["score"] < 1.5 for row in rows)
-    scores = [[cell.strip() for cell in line.split("|")][1:4] for line in texts[0].splitlines()[2:]]
-    assert [line[:1] + line[2:] for line in scores] == [[row["contestant"], f"{row['score']:.2f}"] for row in rows]
+    cells = [[cell.strip() for cell in line.split("|")][1:-1] for line in texts[0].splitlines()]
+    assert cells[0][:4] == ["contestant", "finger", "outside", "score"]
+    assert [line[:4] for line in cells[2:]] == [[row["contestant"], *[f"{row['score']:.2f}"] * 3] for row in rows]
