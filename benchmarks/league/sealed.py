@@ -39,15 +39,15 @@ from btr_mjx.robots import Pairs, Robot
 from btr_mjx.runs import read_json, write_json, write_text
 
 SEED = 46
-"""Seed of all realities."""
+"""Seed of all realities: one for which those with nothing or something else hidden are of four different robots."""
 OUTSIDERS, EMPTY = 2, 2
 """Realities with an effect that the library does not have, and realities in which nothing is hidden."""
 CALIBRATION = 3.0
 """Errors of calibration, in those of `hidden_cases`: gains are wrong by 0.9 %, masses by 1.2 %, friction by 9 %."""
 RATE, STEP = 200.0, 5e-4
 """Samples per second of signals and recordings, and time step of reality [s]."""
-_START = 10**9
-"""Samples between two resets of a reality: the first one alone, to the state in which trials start."""
+_NEVER = 10**9
+"""Samples between two resets of a reality: it is put into the state in which trials start, and left alone."""
 
 Size = Callable[[np.random.Generator, Loads, str], Mapping[str, float]]
 
@@ -112,9 +112,20 @@ def reality(name: str) -> Reality:
     for own, value in drawn.items():
         if own not in edited:
             truth[box.index(own)] = value
-    still = (0.0,) * 6
-    machine = CaseRobot(robot.name, robot.render(truth), _random_motion(robot), robot.duration, robot.base_body, still,
-                        6.0 / robot.duration, None, (), (), (0.0, 0.0))  # fmt: skip
+    planes = base_model(robot).geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+    machine = CaseRobot(
+        name=robot.name,
+        xml=robot.render(truth),
+        draw_motion=_random_motion(robot),
+        duration=robot.duration,
+        base=robot.base_body,
+        noise=(0.0,) * 6,
+        tempo=6.0 / robot.duration,
+        floor="floor" if planes.any() else None,
+        legs=(),
+        links=(),
+        drag=(0.0, 0.0),
+    )
     motions = [machine.draw_motion(rng) for _ in range(3)]
     loads = peak_loads(machine, motions, _start(robot))
     world = HiddenReality.of(machine)
@@ -192,7 +203,7 @@ def _set_parameter(world: HiddenReality, robot: Robot, name: str, value: float) 
 def _start(robot: Robot) -> Restart | None:
     start = start_of(robot)
     return start and Restart(
-        {name: own[None] for name, own in zip(("qpos", "qvel", "act"), start, strict=True)}, _START
+        {name: own[None] for name, own in zip(("qpos", "qvel", "act"), start, strict=True)}, _NEVER
     )
 
 
