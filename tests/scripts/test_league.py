@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -133,6 +134,16 @@ def test_what_is_hidden(parts: Any) -> None:
     for name, one in own.items():
         count = len(one.hidden) - len(parts.contest.unknown_of(one.robot))
         assert count in {"nothing": [0], "outside": [1], "library": [1, 2, 3]}[one.sort], name
+
+
+@pytest.mark.slow
+def test_controllers_matter_in_every_reality(parts: Any) -> None:
+    """A robot that something hidden holds fast tells nothing."""
+    for name in parts.contest.REALITIES:
+        robot, rows = parts.contest.league_robot(name), controllers(parts, name, 6)
+        real = replace(robot, simulator=parts.sealed.TrueSimulator(name))
+        spreads = [np.ptp(parts.contest.predicted(own, own.nominal_simulation[None], rows)) for own in (robot, real)]
+        assert spreads[1] > 0.2 * spreads[0] > 0, name
 
 
 @pytest.mark.slow
