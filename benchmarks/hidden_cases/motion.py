@@ -29,18 +29,20 @@ class Loads:
     travel: Mapping[str, float]
 
 
-def peak_loads(robot: CaseRobot, motions: Sequence[MotionCommand]) -> Loads:
+def peak_loads(robot: CaseRobot, motions: Sequence[MotionCommand], start: "Restart | None" = None) -> Loads:
     """Peak loads of the believed robot.
 
     Args:
       robot: the robot.
       motions: commands that are simulated, each for the duration of a recording.
+      start: states in which it starts; None for the model's own.
 
     Returns:
       The loads by joint.
     """
     model = robot.model
-    rows = [simulate_reality(HiddenReality.of(robot), motion, robot.duration, 500.0, 5e-4) for motion in motions]
+    real = HiddenReality.of(robot)
+    rows = [simulate_reality(real, motion, robot.duration, 500.0, 5e-4, start) for motion in motions]
     qvel = np.concatenate([row["qvel"] for row in rows])
     force = np.concatenate([row["force"] for row in rows])
     rate = np.concatenate([np.gradient(row["qvel"], row["time"], axis=0) for row in rows])

@@ -10,7 +10,7 @@ from btr_mjx.gap.forces.evidence import LeastSquares, least_squares, penalty
 from btr_mjx.gap.forces.kalman_filter import Filtered, Variances, filtered, smoothed
 from btr_mjx.gap.forces.motion import FreeNumber, Linearised, linearise_motion, responses
 from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.gap.forces.unknowns import BELIEVED, Library, calibrated_effects, calibrated_number
+from btr_mjx.gap.forces.unknowns import Library, calibrated_effects, calibrated_number, with_refitted
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.models import integrate
 
@@ -182,10 +182,8 @@ def _calibration_columns(side: ForceSide, point: Point, stretches: Stretches) ->
     numbers = []
     for entry, value in zip(library.calibrated, point.calibration, strict=True):
         own, index = library.numbers[entry.columns[0][0]], calibrated_number(library, entry)
-        at = entry.candidate.null
-        # Numbers of the model that may be refitted are written as they are, other effects are added to what is there.
-        at[index] += value if entry.candidate.effect.name.startswith(BELIEVED) else 0.0
-        numbers.append(FreeNumber(entry.candidate, index, tuple(at), own.step))
+        there = FreeNumber(entry.candidate, index, tuple(entry.candidate.null), own.step)
+        numbers.append(with_refitted(there, value))
     return responses(stretches, point.hypothesis(library), numbers, side.counter)
 
 

@@ -15,7 +15,7 @@ from btr_mjx.gap.forces.motion import linearise_motion, responses
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, names, settled
 from btr_mjx.gap.forces.predictions import RELATIVE_ERROR, compared_predictions
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
-from btr_mjx.gap.forces.unknowns import BELIEVED, LIMIT_SIZES
+from btr_mjx.gap.forces.unknowns import LIMIT_SIZES, with_refitted
 
 _FAR = 0.02
 """Part of the gain of a whole drive that a single effect needs in the scan to be refined beside it."""
@@ -88,11 +88,7 @@ def start(side: ForceSide, base: Hypothesis) -> tuple[ForceSide, Fitted]:
             "give it its mass, or the joint an armature"
         )
     at = {e.columns[0][0]: v for e, v in zip(side.library.calibrated, fit.point.calibration, strict=True)}
-    numbers = [
-        # Numbers of the model that may be refitted are written as they are, other effects are added to what is there.
-        replace(n, at=(n.at[0] + at.get(i, 0.0),)) if n.candidate.effect.name.startswith(BELIEVED) else n
-        for i, n in enumerate(side.library.numbers)
-    ]
+    numbers = [with_refitted(number, at.get(i, 0.0)) for i, number in enumerate(side.library.numbers)]
     stretches = fit.linear.stretches
     columns = responses(stretches, fit.point.hypothesis(side.library), numbers, side.counter)
     side = replace(side, columns=columns)

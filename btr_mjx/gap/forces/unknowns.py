@@ -1,7 +1,7 @@
 """Columns of a search: one for every number that an effect of the library may have at a single place."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -176,6 +176,23 @@ def _as_candidate(parameter: PathParameter, model: mujoco.MjModel) -> Candidate:
 def calibrated_number(library: Library, entry: CandidateColumns) -> int:
     """Index of the number of a candidate that is calibration."""
     return library.numbers[entry.columns[0][0]].index if len(entry.columns[0]) == 1 else 0
+
+
+def with_refitted(number: FreeNumber, change: float) -> FreeNumber:
+    """A free number beside a change of calibration; its derivative is taken within its bounds.
+
+    Numbers of the model that may be refitted are written as they are, and beyond their bounds there may be no model.
+    Other effects are added to what is there: their numbers stay.
+
+    Args:
+      number: at its null.
+      change: value of calibration.
+    """
+    if not number.candidate.effect.name.startswith(BELIEVED):
+        return number
+    (own,) = number.candidate.parameters
+    at = float(np.clip(number.at[0] + change, own.low, own.high))
+    return replace(number, at=(at,), step=number.step if own.low <= at + number.step <= own.high else -number.step)
 
 
 def calibrated_effects(library: Library, calibration: np.ndarray) -> list[tuple[Candidate, tuple[float, ...]]]:

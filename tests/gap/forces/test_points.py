@@ -138,6 +138,24 @@ def test_a_number_is_worth_the_same_by_another_name(sides, named):
     assert 0.05 + other.point.calibration[-1] == pytest.approx(0.15, rel=0.05)
 
 
+def test_numbers_of_the_model_stay_within_their_bounds(sides):
+    """The true damping of 0.15 is out of reach; beyond the bound there is no model."""
+
+    class Bounded(PathParameter):
+        def write(self, model, value):
+            assert self.low <= value <= self.high
+            super().write(model, value)
+
+    side = sides[0]
+    model = side.stretches.data.recordings[0].model
+    refitted = (Bounded("elbow damping", ("joint:elbow/damping",), 0.0, 0.08),)
+    base = Hypothesis(refitted, (0.05,))
+    library = library_of(candidates(model, scales_of(side.stretches.data), ()), model, refitted, {}, 0.005)
+    columns = responses(side.stretches, base, library.numbers)
+    _, found = start(ForceSide(side.stretches, library, columns, Counter()), base)
+    assert 0.05 + found.point.calibration[-1] > 0.08
+
+
 def test_what_is_settled_stays(sides, named, null):
     for fit in (named, null):
         assert settled(sides[0], fit.point, fit.variances).loss == pytest.approx(fit.loss, abs=10)
