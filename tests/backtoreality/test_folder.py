@@ -14,14 +14,16 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from btr_mjx import coevolve
-from btr_mjx.backtoreality import PRESETS, FolderReality, Waiting
+from btr_mjx.backtoreality import PRESETS, FolderReality, SimulatedReality, Waiting
 from btr_mjx.backtoreality.given_settings import flags_of
 from btr_mjx.backtoreality.reality.instructions import command_kinds, instructions
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import evaluate, fitness_function
 from btr_mjx.gap.data import control_columns
+from btr_mjx.gap.data.writing import recording_columns
 from btr_mjx.models import base_model, load_robot
 from btr_mjx.robots import hexapod
 
@@ -278,3 +280,26 @@ def test_missing_rows_are_asked_for_again(uninterrupted: dict, tmp_path: Path, c
         coevolve.main(command(tmp_path, "--resume"))
         subprocess.run(room(tmp_path, "--once"), check=True, timeout=60)
     assert json.loads((tmp_path / "run" / "result.json").read_text()) == uninterrupted
+
+
+def test_trials_with_an_imu_and_no_pose_are_recordings_without_fitness(tmp_path: Path) -> None:
+    """Where a walking robot went is not in its IMU; how its base moved is estimated."""
+    robot = load_robot(EXAMPLES / "quadruped")
+    walker = FolderReality(robot, tmp_path, fitness_function(robot.fitness, robot.target))
+    tried = robot.controller_box.sample(np.random.default_rng(0), 1)
+    (true,) = SimulatedReality(robot, tuple(robot.nominal)).record(tried, [0])
+    columns = recording_columns(true)
+    hidden = {name: values for name, values in columns.items() if "/root/" not in name}
+    with pytest.raises(Waiting):
+        walker.measure(tried, 0, (robot.duration,))
+    np.savez(tmp_path / "measured" / "trial-0.npz", **hidden)  # type: ignore[arg-type]
+    with pytest.raises(Waiting) as waiting:
+        walker.measure(tried, 0, (robot.duration,))
+    assert "does not say where the robot was" in waiting.value.complaints[0]
+    (found,) = walker.record(tried, [0])
+    assert found.seen.all()
+    assert not found.sensed[:6].any()
+    # Its feet slide while it walks: how fast it goes forwards is not told, how it is tilted is.
+    up = [Rotation.from_quat(one.qpos[:, 3:7], scalar_first=True).inv().apply([0.0, 0.0, 1.0]) for one in (found, true)]
+    assert np.abs(up[0] - up[1]).mean() < 0.01
+    assert np.abs(found.qpos[:, 2] - true.qpos[:, 2]).mean() < 0.005

@@ -32,7 +32,7 @@ from btr_mjx.backtoreality.reality.measurements import (
 )
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.evaluation import DISTANCE, FitnessFunction
-from btr_mjx.gap.data import Recording, make_recording, read_columns
+from btr_mjx.gap.data import Recording, make_recording, read_columns, with_bases
 from btr_mjx.models import base_model, part_names
 from btr_mjx.robots import Robot
 from btr_mjx.runs import atomic_write, note
@@ -112,7 +112,8 @@ class FolderReality:
         """Recordings of trials with these ids (m,), of those that were given one."""
         files = (self._recording(int(i)) for i in np.asarray(trials))
         model = base_model(self.robot)
-        return [make_recording(read_columns(path), model, str(path), path.stem) for path in files if path is not None]
+        found = [make_recording(read_columns(path), model, str(path), path.stem) for path in files if path is not None]
+        return with_bases([found], [])[0]
 
     def _recording(self, trial: int) -> Path | None:
         """The recording of a trial, if there is one."""

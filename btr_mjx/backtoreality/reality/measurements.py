@@ -14,7 +14,7 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import FitnessFunction, Outcome, fitness_at_marks, track_configurations
-from btr_mjx.gap.data import make_recording, read_columns
+from btr_mjx.gap.data import base_unmeasured, make_recording, read_columns
 from btr_mjx.models import base_address, base_model
 from btr_mjx.robots import Robot
 
@@ -126,6 +126,8 @@ def read_recorded_fitness(
         recording = make_recording(read_columns(path), base_model(robot), str(path), path.stem)
     except InputError as error:
         return None, str(error)
+    if base_unmeasured(recording):
+        return None, f"{path}: it does not say where the robot was; record the pose of its base, or give the fitness"
     since = recording.time - recording.time[0]
     if since[-1] < _SHORT * times[-1]:
         return None, f"{path}: lasts {since[-1]:.4g} s, a trial takes {times[-1]:g} s"

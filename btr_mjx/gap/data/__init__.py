@@ -19,7 +19,7 @@ from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, known
 from btr_mjx.gap.data.files.readers import Reader, read_columns
 from btr_mjx.gap.data.files.table import LogTable, log_table
 from btr_mjx.gap.data.lists import counted, listed
-from btr_mjx.gap.data.loading import load, with_imu
+from btr_mjx.gap.data.loading import load, with_bases, with_imu
 from btr_mjx.gap.data.opening import open_dataset, open_logs
 from btr_mjx.gap.data.recordings.held import Held, bends, held, stairs
 from btr_mjx.gap.data.recordings.noise import Noise, estimate_noise, quantisation_noise, reduced_noise
@@ -67,5 +67,6 @@ __all__ = [
     "sensor_columns",
     "stairs",
     "state_columns",
+    "with_bases",
     "with_imu",
 ]

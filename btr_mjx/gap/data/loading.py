@@ -97,7 +97,7 @@ def _load_table(
         else:
             groups.append(_stretches(own, model, name, options, advance, share, notes))
     groups = _without_lagging_velocities(groups, notes)
-    groups = _with_bases(groups, notes)
+    groups = with_bases(groups, notes)
     recordings = _split(groups, [row.get("split") for row in listed_rows], str(path), parts[0] is None)
     interpolation = head.interpolation if stated else _suitable_interpolation(recordings, notes)
     return replace(
@@ -196,8 +196,16 @@ def _stretches(
     return found
 
 
-def _with_bases(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list[list[Recording]]:
-    """Recordings with estimated states of a base without a measured pose, unless its IMU contradicts itself."""
+def with_bases(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list[list[Recording]]:
+    """Groups of recordings with estimated states of a base without a measured pose, unless its IMU contradicts itself.
+
+    Args:
+      groups: recordings of one robot.
+      notes: what was found is appended.
+
+    Raises:
+      InputError: the robot can touch nothing from which its motion could be estimated.
+    """
     hidden = [one for group in groups for one in group if base_unmeasured(one)]
     if not hidden:
         return [list(group) for group in groups]

@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data import Dataset
+from btr_mjx.gap.data import Dataset, base_unmeasured
 from btr_mjx.gap.effects import EFFECTS, Effect
 from btr_mjx.gap.forces import horizon_errors, identify_forces, joint_errors, predictions, prepare_forces
 from btr_mjx.gap.inference.search.naming import CONTACT_THRESHOLD, THRESHOLD, within_calibration
@@ -76,10 +76,12 @@ def identify(
       The diagnosis.
 
     Raises:
-      InputError: no recordings on one side of the split, recordings too short for a window, no motion; a residual is
-        asked for where the robot touches the world.
+      InputError: no recordings on one side of the split, recordings too short for a window, no motion; the motion of a
+        base is not known; a residual is asked for where the robot touches the world.
     """
     begun = time.monotonic()
+    for one in filter(base_unmeasured, dataset.recordings):
+        raise InputError(f"{one.name}: the pose of its base was not measured, and could not be estimated from its IMU")
     # The search has threads of its own, and matrices that are too small to be shared by more.
     with threadpool_limits(1, "blas"):
         if (prepared := prepare_forces(dataset)) is not None:
