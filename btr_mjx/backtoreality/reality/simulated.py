@@ -97,9 +97,10 @@ class SimulatedReality:
           that recorded commands are half a step late.
         """
         model = base_model(self.robot)
-        late = 0.5 * (self.settings.timestep or float(model.opt.timestep))
-        count = int(self.robot.duration * self.recording_rate)
-        times = np.arange(1, count + 1) / self.recording_rate
+        step = self.settings.timestep or float(model.opt.timestep)
+        late, interval = 0.5 * step, step * max(1, round(1 / (self.recording_rate * step)))  # samples are at steps
+        count = int(self.robot.duration / interval + 1e-6)
+        times = interval * np.arange(1, count + 1)
         rows = np.atleast_2d(np.asarray(controllers, float))
         found = evaluate(
             self.robot, [self.truth], rows, engine="native", settings=self.settings, times=times, states=True

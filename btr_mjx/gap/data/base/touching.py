@@ -59,7 +59,7 @@ def touching_points(
       margin: largest distance [m].
     """
     model = copy.copy(model)
-    model.geom_margin[:] = margin
+    model.geom_margin[:], model.body_margin[:] = margin, margin
     data, jacobian = mujoco.MjData(model), np.zeros((3, model.nv))
     free = int(model.jnt_dofadr[model.body_jntadr[base]])
     joints = np.delete(np.arange(model.nv), np.arange(free, free + 6))
