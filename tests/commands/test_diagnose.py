@@ -144,7 +144,7 @@ def test_a_search_in_recordings_shows_no_remaining_time(
         return NOTHING
 
     monkeypatch.setattr(inference, "identify", stand_in)
-    monkeypatch.setattr("btr_mjx.gap.searching.progress", partial(progress, interval=0.0))
+    monkeypatch.setattr("btr_mjx.gap.simulate.journal.progress", partial(progress, interval=0.0))
     diagnose.main([str(folder), "--out", str(tmp_path / "run"), "--no-figures"])
     lines = capsys.readouterr().err.splitlines()
     assert any(": 1.00Msteps" in line for line in lines), lines
