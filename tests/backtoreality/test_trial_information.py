@@ -52,12 +52,16 @@ def trials_of(made: Problem, truth: np.ndarray, count: int, noise: float = 0.0) 
 
 @dataclass(frozen=True)
 class Measured:
-    """A reality that knows the scatter of its measurements."""
+    """A reality that is a simulation, and knows the scatter of its measurements."""
 
+    problem: Problem
+    simulation: np.ndarray
     noise: float
 
     def measure(self, controllers: np.ndarray, trial: int, times: tuple[float, ...]) -> np.ndarray:
-        raise NotImplementedError
+        rng = np.random.default_rng(trial)
+        exact = self.problem.simulate(self.simulation[None], controllers)[0]
+        return (exact + self.noise * rng.standard_normal(len(exact)))[:, None]
 
 
 @pytest.mark.parametrize("at", [[0.3, 0.4], [0.05, 1.0], [0.6, 0.02]])
@@ -75,7 +79,8 @@ def test_slopes_of_a_parabola(at: list[float]) -> None:
 def test_intervals_of_linear_fitness_are_the_closed_form() -> None:
     """The posterior of a linear model with known noise, and a prior of the variance of the range."""
     truth, at, noise = np.array([0.2, 0.3]), np.array([0.25, 0.35]), 0.02
-    made = replace(problem(Parabola()), reality=Measured(noise))
+    made = problem(Parabola())
+    made = replace(made, reality=Measured(made, truth, noise))
     trials = trials_of(made, truth, 12, noise)
     design = trials.controllers[:, :2]
     covariance = np.linalg.inv(design.T @ design / noise**2 + np.diag(12 / SPAN**2))
