@@ -2,6 +2,7 @@
 
     uv run python benchmarks/legged.py --json with_imu.json               # 12 cases and 6 in which nothing is missing
     uv run python benchmarks/legged.py --sensors pose --json pose.json    # the same robots and motions, with a pose
+    uv run python benchmarks/legged.py --fault late                       # the inertial unit is one row late
 
 Two generators make the robots: `hidden_cases` and `field_robots`. Encoders have 1 mrad and 0.05 rad/s of noise, the
 unit 0.005 rad/s, 0.1 m/s^2 and 0.01 rad, and is turned by 2 degrees on its base; reported torques are 4 % off. A case
@@ -28,7 +29,7 @@ from field_robots import ROBOTS
 from hidden_cases import case_robot
 from hidden_cases.case_sampling import Draw
 from hidden_cases.cases import draw_reality
-from hidden_cases.imu import Mount, imu_columns, with_imu
+from hidden_cases.imu import Mount, imu_columns, with_fault, with_imu
 from hidden_cases.motion import peak_loads, simulate_reality
 from naming_gate import CODE
 
@@ -53,6 +54,8 @@ class Config:
 
     sensors: Literal["imu", "pose"] = "imu"
     """What is measured of the base: an inertial unit, and its pose, too."""
+    fault: Literal["none", "jitter", "lost", "late", "held", "lowpass", "coarse"] = "none"
+    """Fault of the logs, see `hidden_cases.imu.FAULTS`."""
     only: tuple[int, ...] = ()
     """Numbers of cases; all by default."""
     seed: int = 1
@@ -142,7 +145,7 @@ def _field_effect(
     return {"effect": name, "location": location, "parameters": {k: float(v) for k, v in parameters.items()}}
 
 
-def make_case(folder: Path, seed: tuple[int, ...], generator: str, effect: str | None) -> dict[str, Any]:
+def make_case(folder: Path, seed: tuple[int, ...], generator: str, effect: str | None, fault: str) -> dict[str, Any]:
     """Write the folders `imu` and `pose` of a case; returns the truth."""
     rng = np.random.default_rng(seed)
     xml, walks, hidden = (demo_walks if generator == "demo" else field_walks)(rng, effect)
@@ -173,8 +176,11 @@ def make_case(folder: Path, seed: tuple[int, ...], generator: str, effect: str |
         speed = qvel[:, :6] + np.repeat(POSE[2:], 3) * rng.standard_normal((count, 6))
         pose = {f"qpos/{base}/{part}": posed[:, i] for i, part in enumerate(("x", "y", "z", "qw", "qx", "qy", "qz"))}
         pose |= {f"qvel/{base}/{part}": speed[:, i] for i, part in enumerate(("vx", "vy", "vz", "wx", "wy", "wz"))}
-        write_arrays(folder / "imu" / f"walk_{number:02d}.npz", columns | unit)
-        write_arrays(folder / "pose" / f"walk_{number:02d}.npz", columns | unit | pose)
+        for sensors, measured in (("imu", unit), ("pose", unit | pose)):
+            logged = columns | measured
+            names = tuple(model.joint(j).name for j in joints)
+            with_fault(logged, fault, names, np.random.default_rng((*seed, number)))
+            write_arrays(folder / sensors / f"walk_{number:02d}.npz", logged)
         files += f'\n[[recording]]\nfile = "walk_{number:02d}.npz"\n'
     for sensors in ("imu", "pose"):
         text = f'[model]\nfile = "model.xml"\n\n[control]\ninterpolation = "cubic"\n{files}'
@@ -183,7 +189,7 @@ def make_case(folder: Path, seed: tuple[int, ...], generator: str, effect: str |
         "robot": generator,
         "effects": hidden,
         "visible": [],
-        "faults": [],
+        "faults": [fault],
         "constant": constant.tolist(),
     }
 
@@ -197,10 +203,11 @@ def cases() -> Iterator[tuple[str, str | None]]:
 
 def solved_case(config: Config, number: int, generator: str, effect: str | None) -> Mapping[str, Any]:
     """Make and solve a case, unless that was done."""
-    name = f"{generator}-{effect or 'none'}-{config.seed}-{number:02d}"
+    faulty = "" if config.fault == "none" else f"-{config.fault}"
+    name = f"{generator}-{effect or 'none'}-{config.seed}-{number:02d}{faulty}"
     folder, kept = config.out / name, config.out / "answers" / CODE / f"{name}-{config.sensors}.json"
     if not (folder / "truth.json").is_file():
-        write_json(folder / "truth.json", make_case(folder, (config.seed, number), generator, effect))
+        write_json(folder / "truth.json", make_case(folder, (config.seed, number), generator, effect, config.fault))
     if not kept.is_file():
         write_json(kept, solve(folder / config.sensors))
     answer, truth = read_json(kept), read_json(folder / "truth.json")

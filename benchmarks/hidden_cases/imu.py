@@ -1,4 +1,4 @@
-"""Measurements of an inertial unit on the base of a robot, from states without noise of its reality."""
+"""Measurements of an inertial unit on a robot's base, from states of its reality without noise, and faults of logs."""
 
 from dataclasses import dataclass
 
@@ -14,6 +14,9 @@ SENSORS = (
 )
 GYRO, ACCELEROMETER, ORIENTATION = 0.005, 0.1, 0.01
 """Noise: [rad/s], [m/s^2], [rad]."""
+FAULTS = ("jitter", "lost", "late", "held", "lowpass", "coarse")
+"""Faults of logs: time stamps that come late by 0.8 ms on average; missing rows; an inertial unit that is one row late;
+one that is read in every second row; joint velocities behind a filter of 10 ms; encoders of 5 mrad."""
 TILT = np.radians(2.0)
 """Angle by which the unit is turned on its base [rad], about an axis that is drawn."""
 
@@ -73,3 +76,30 @@ def imu_columns(
     columns = {f"sensor/imu_gyro/{axis}": gyro[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"sensor/imu_acc/{axis}": accelerometer[:, i] for i, axis in enumerate("xyz")}
     return columns | {f"sensor/imu_quat/q{axis}": quat[:, i] for i, axis in enumerate("wxyz")}
+
+
+def with_fault(columns: dict[str, np.ndarray], fault: str, joints: tuple[str, ...], rng: np.random.Generator) -> None:
+    """Give (K,) columns of a log of some joints one of `FAULTS`."""
+    time = columns["time"].copy()
+    count, unit = len(time), [name for name in columns if name.startswith("sensor/")]
+    if fault == "jitter":
+        late = time + rng.exponential(8e-4, count) + 4e-3 * (rng.random(count) < 0.01)
+        columns["time"] = np.maximum.accumulate(late) + 1e-6 * np.arange(count)
+    if fault == "lost":
+        kept = rng.random(count) >= 0.01
+        first = int(rng.integers(count // 4, 3 * count // 4))
+        kept[first : first + int(rng.integers(4, 30))] = False
+        columns.update({name: values[kept] for name, values in columns.items()})
+    if fault in ("late", "held"):
+        rows = np.arange(count)
+        rows = np.maximum(rows - 1, 0) if fault == "late" else rows - rows % 2
+        columns.update({name: columns[name][rows] for name in unit})
+    if fault == "lowpass":
+        part = 1 - np.exp(-np.diff(time) / 0.01)
+        for name in (f"qvel/{joint}" for joint in joints):
+            values = columns[name].copy()
+            for i in range(1, count):
+                values[i] = values[i - 1] + part[i - 1] * (values[i] - values[i - 1])
+            columns[name] = values
+    if fault == "coarse":
+        columns.update({name: np.round(columns[name] / 5e-3) * 5e-3 for name in (f"qpos/{j}" for j in joints)})

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from btr_mjx.gap.data.base.motion import N
+from btr_mjx.gap.data.base.motion import COMMON, N
 
 _RIDGE = 1e-6
 """Added to the diagonal: what nothing measures keeps its value."""
@@ -20,7 +20,7 @@ class BlockRows:
       residual: (n, d).
       sample: (n,) sample on which they depend.
       slope: (n, d, 9) derivatives with respect to the state of this sample.
-      border: (n, d, 9) with respect to the common unknowns.
+      border: (n, d, 10) with respect to the common unknowns.
       ahead: (n, d, 9) with respect to the state of the next sample; None where they do not depend on it.
     """
 
@@ -37,8 +37,8 @@ class BlockSystem:
 
     Attributes:
       factor: banded Cholesky factor of the samples' part of H.
-      gradient: (9 K,) solution of the samples' part for the gradient; across: (9 K, 9) for the border.
-      information: (9, 9) of the border after the samples were eliminated; pull: (9,) its gradient.
+      gradient: (9 K,) solution of the samples' part for the gradient; across: (9 K, 10) for the border.
+      information: (10, 10) of the border after the samples were eliminated; pull: (10,) its gradient.
     """
 
     factor: np.ndarray
@@ -48,7 +48,7 @@ class BlockSystem:
     pull: np.ndarray
 
     def step(self, border: np.ndarray) -> np.ndarray:
-        """(K, 9) changes of the samples for a change (9,) of the border."""
+        """(K, 9) changes of the samples for a change (10,) of the border."""
         return -(self.gradient + self.across @ border).reshape(-1, N)
 
     def covariances(self, samples: np.ndarray, lag: int, border: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -57,7 +57,7 @@ class BlockSystem:
         Args:
           samples: (n,) of which `lag` more follow.
           lag: number of samples.
-          border: (9, 9) covariance of the border.
+          border: (10, 10) covariance of the border.
         """
         own = N * samples[:, None] + np.arange(N)
         later = own + N * lag
@@ -82,13 +82,13 @@ def eliminated(
       count: number of samples K.
       rows: all residuals.
       fixed: (9,) weights that hold the first sample where it is.
-      information: (9, 9) of what is known of the border before.
-      pull: (9,) gradient of what is known of the border.
+      information: (10, 10) of what is known of the border before.
+      pull: (10,) gradient of what is known of the border.
 
     Raises:
       LinAlgError: residuals are not finite.
     """
-    own, next_, across = np.zeros((count, N, N)), np.zeros((count, N, N)), np.zeros((count, N, N))
+    own, next_, across = np.zeros((count, N, N)), np.zeros((count, N, N)), np.zeros((count, N, COMMON))
     gradient, information, pull = np.zeros((count, N)), information.copy(), pull.copy()
     own += _RIDGE * np.eye(N)
     own[0] += np.diag(fixed)
@@ -111,7 +111,7 @@ def eliminated(
         for i in range(N):
             banded[N + i - j, j::N] = next_[:, j, i]
     factor = cholesky_banded(banded, lower=True, check_finite=False)
-    flat = across.reshape(-1, N)
+    flat = across.reshape(-1, COMMON)
     solved = cho_solve_banded((factor, True), np.concatenate([gradient.reshape(-1, 1), flat], 1), check_finite=False)
     return BlockSystem(
         factor,

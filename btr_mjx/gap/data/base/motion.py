@@ -1,15 +1,16 @@
 """What is measured of a base without a pose, and the estimate of its motion."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from btr_mjx.gap.data.base.touching import Touching, touching_points
 
-N = 9
-"""Unknowns of a sample: place, velocity and orientation."""
+N, COMMON = 9, 10
+"""Unknowns of a sample: place, velocity and orientation; unknowns beside them: how the unit is turned, how late it is,
+its biases."""
 TOUCH_MARGIN = 0.02
 """Largest distance of a point that may touch [m]."""
 _PICKED = 20
@@ -51,6 +52,17 @@ class Unit:
     orientation: Rotation | None
     noise: tuple[float, float]
     pose: MeasuredBase | None = None
+
+    def earlier(self, late: float) -> "Unit":
+        """The same unit, whose measurements were logged `late` seconds after they were made."""
+        if late == 0.0:
+            return self
+        time, at = self.time, np.clip(self.time + late, self.time[0], self.time[-1])
+        gyro, accelerometer = (
+            np.stack([np.interp(at, time, own) for own in values.T], 1) for values in (self.gyro, self.accelerometer)
+        )
+        orientation = None if self.orientation is None else Slerp(time, self.orientation)(at)
+        return replace(self, gyro=gyro, accelerometer=accelerometer, orientation=orientation)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,12 @@ from scipy.spatial.transform import Rotation
 from scipy.special import softmax
 
 from btr_mjx.gap.data.base.block_system import BlockRows
-from btr_mjx.gap.data.base.motion import TOUCH_MARGIN, BaseMotion, Legs, N, Scatter, Unit
+from btr_mjx.gap.data.base.motion import COMMON, TOUCH_MARGIN, BaseMotion, Legs, N, Scatter, Unit
 from btr_mjx.gap.data.base.touching import Touching
 
 _PLACE, _VELOCITY, _TURN = slice(0, 3), slice(3, 6), slice(6, 9)
-_MOUNT, _GYRO, _ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Unknowns of the border: how the unit is turned, its biases."""
+_MOUNT, _LATE, _GYRO, _ACCELEROMETER = slice(0, 3), 3, slice(4, 7), slice(7, 10)
+"""Unknowns of the border: how the unit is turned, how late it is, its biases."""
 _SPEEDS, _DISTANCES = 3 * np.log(2.0), np.log(2 * TOUCH_MARGIN)
 """Logarithms of the volumes over which velocities (+- 1 m/s) and distances are spread of a point that is not held."""
 _LEAST_SLIP, _LEAST_GAP, _LEAST_TILT = 1e-3, 2e-4, 1e-4
@@ -25,17 +25,22 @@ _SPREAD = 1 / np.sqrt(12)
 
 @dataclass(frozen=True, eq=False)
 class Inertia:
-    """Angular velocity `spin` and specific force `force` (K, 3) in the frame of the base, and the mount (3, 3)."""
+    """Angular velocity `spin` and specific force `force` (K, 3) in the frame of the base, and the mount (3, 3).
+
+    `bend` (K, 3) is the slope of `spin` [rad/s^2].
+    """
 
     spin: np.ndarray
     force: np.ndarray
     mount: np.ndarray
+    bend: np.ndarray
 
 
 def inertia_of(unit: Unit, motion: BaseMotion, mount: Rotation) -> Inertia:
     """Measurements of a unit without their biases, in the frame of the base."""
     spin, force = unit.gyro - motion.biases[:3], unit.accelerometer - motion.biases[3:]
-    return Inertia(mount.apply(spin), mount.apply(force), mount.as_matrix())
+    spin = mount.apply(spin)
+    return Inertia(spin, mount.apply(force), mount.as_matrix(), np.gradient(spin, unit.time, axis=0))
 
 
 def propagation(unit: Unit, motion: BaseMotion, inertia: Inertia, gravity: np.ndarray) -> BlockRows:
@@ -58,7 +63,7 @@ def propagation(unit: Unit, motion: BaseMotion, inertia: Inertia, gravity: np.nd
     sigma_v = step[:, 0] * np.hypot(unit.noise[1], force)
     sigma = np.repeat([0.3 * step[:, 0] * sigma_v + 1e-6, sigma_v, step[:, 0] * np.hypot(unit.noise[0], rate)], 3, 0).T
     eye, h = np.eye(3), step[..., None]
-    slope, ahead, border = (np.zeros((count, N, N)) for _ in range(3))
+    slope, ahead, border = np.zeros((count, N, N)), np.zeros((count, N, N)), np.zeros((count, N, COMMON))
     slope[:, _PLACE, _PLACE], ahead[:, _PLACE, _PLACE] = eye, -eye
     slope[:, _PLACE, _VELOCITY] = ahead[:, _PLACE, _VELOCITY] = 0.5 * h * eye
     slope[:, _VELOCITY, _VELOCITY], ahead[:, _VELOCITY, _VELOCITY] = eye, -eye
@@ -67,6 +72,8 @@ def propagation(unit: Unit, motion: BaseMotion, inertia: Inertia, gravity: np.nd
     slope[:, _TURN, _TURN], ahead[:, _TURN, _TURN] = moved.inv().as_matrix(), -eye
     border[:, _VELOCITY, _MOUNT] = 0.5 * h * (lever[:-1] + lever[1:])
     border[:, _VELOCITY, _ACCELEROMETER] = -h * (turn[:-1] @ inertia.mount)
+    border[:, _VELOCITY, _LATE] = motion.turn[:-1].apply(np.diff(inertia.force, axis=0))
+    border[:, _TURN, _LATE] = np.diff(inertia.spin, axis=0)
     border[:, _TURN, _MOUNT] = -h * _cross(spin)
     border[:, _TURN, _GYRO] = -h * inertia.mount
     weight = 1 / sigma
@@ -86,8 +93,9 @@ def tilts(unit: Unit, motion: BaseMotion, mount: Rotation) -> tuple[BlockRows, S
     count = np.arange(len(left))
     scatter = scatter_of(left, (count[:-1], count[1:]), np.ones(len(left)), 0.0, _LEAST_TILT)
     sigma = motion.tilt.sigma * np.sqrt(motion.tilt.alike)
-    slope, border = np.zeros((len(left), 3, N)), np.zeros((len(left), 3, N))
+    slope, border = np.zeros((len(left), 3, N)), np.zeros((len(left), 3, COMMON))
     slope[:, :, _TURN] = border[:, :, _MOUNT] = -np.eye(3) / sigma
+    border[:, :, _LATE] = mount.apply(unit.gyro - motion.biases[:3]) / sigma
     return BlockRows(left / sigma, np.arange(len(left)), slope, border), scatter
 
 
@@ -104,11 +112,12 @@ def poses(legs: Legs, unit: Unit, motion: BaseMotion, inertia: Inertia) -> Block
         axis=1,
     )
     count, eye = len(residual), np.eye(3)
-    slope, border = np.zeros((count, N, N)), np.zeros((count, N, N))
+    slope, border = np.zeros((count, N, N)), np.zeros((count, N, COMMON))
     slope[:, _PLACE, _PLACE], slope[:, _VELOCITY, _VELOCITY], slope[:, _TURN, _TURN] = eye, eye, -eye
     slope[:, _PLACE, _TURN], slope[:, _VELOCITY, _TURN] = turn @ arm, turn @ _cross(around)
     border[:, _VELOCITY, _MOUNT] = -turn @ arm @ _cross(inertia.spin)
     border[:, _VELOCITY, _GYRO] = -turn @ arm @ inertia.mount
+    border[:, _VELOCITY, _LATE] = motion.turn.apply(np.cross(legs.place, inertia.bend))
     weight = 1 / unit.pose.sigma
     return BlockRows(residual * weight, np.arange(count), slope * weight[:, None], border * weight[:, None])
 
@@ -142,9 +151,10 @@ def touches(
     stands, slides, _ = softmax(kinds, axis=1).T
     touching = stands + slides
     whiten, wide = whitener(motion.slip.alike), np.sqrt(gaps + motion.gap.alike * motion.gap.sigma**2)
-    slope, border = np.zeros((len(k), 4, N)), np.zeros((len(k), 4, N))
+    slope, border = np.zeros((len(k), 4, N)), np.zeros((len(k), 4, COMMON))
     slope[:, :3, _VELOCITY], slope[:, :3, _TURN] = whiten @ np.swapaxes(turn, 1, 2), whiten @ _cross(own)
     border[:, :3, _MOUNT], border[:, :3, _GYRO] = whiten @ arm @ _cross(spin), whiten @ arm @ inertia.mount
+    border[:, :3, _LATE] = np.einsum("nij,nj->ni", whiten, np.cross(inertia.bend[k], points.place))
     slope[:, 3, _PLACE] = points.normal / wide[:, None]
     slope[:, 3, _TURN] = -np.einsum("ni,nij->nj", normal, arm) / wide[:, None]
     residual = np.concatenate([np.einsum("nij,nj->ni", whiten, speed), (depth / wide)[:, None]], 1)

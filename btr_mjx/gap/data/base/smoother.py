@@ -2,28 +2,33 @@
 
 All recordings are one least-squares problem, solved by Gauss-Newton steps. Unknown at every sample are place and
 velocity of the unit and the orientation of the base, unknown for a recording the biases of the unit, unknown for all
-recordings how it is turned on the base. Gyro and accelerometer tie each sample to the next; a point that touches has no
-distance from the ground and no velocity. Whether it touches is a probability, computed from its own residuals at every
-step (expectation maximisation), as are the scatter of these residuals and the time over which they stay the same: a
-foot that creeps does so for a whole stance. The robot's dynamics are not used: nothing that they lack enters.
+recordings how it is turned on the base and how late it is logged. Gyro and accelerometer tie each sample to the next; a
+point that touches has no distance from the ground and no velocity. Whether it touches is a probability, computed from
+its own residuals at every step (expectation maximisation), as are the scatter of these residuals and the time over
+which they stay the same: a foot that creeps does so for a whole stance. The robot's dynamics are not used: nothing that
+they lack enters. Creep looks like a unit that is a millisecond late; `Smoothed` tells what that does to the states.
 
 After Bloesch et al. 2012, "State estimation for legged robots": feet and an inertial unit in one filter.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from btr_mjx.gap.data.base.block_system import BlockSystem, eliminated
-from btr_mjx.gap.data.base.motion import BaseMotion, Legs, Unit, first_estimate
+from btr_mjx.gap.data.base.motion import COMMON, BaseMotion, Legs, N, Unit, first_estimate
 from btr_mjx.gap.data.base.residuals import inertia_of, poses, propagation, tilts, touches
 from btr_mjx.gap.data.base.touching import Touching
 
-MOUNT, BIASES = np.radians(2.0), np.repeat([0.02, 0.1], 3)
-"""Standard deviations before the recordings are seen: turn of the unit [rad]; biases of gyro [rad/s] and accelerometer
-[m/s^2]."""
+MOUNT, LATE, BIASES = np.radians(2.0), 0.01, np.repeat([0.02, 0.1], 3)
+"""Standard deviations before the recordings are seen: turn of the unit [rad]; time by which it is logged later than the
+encoders [s]; biases of gyro [rad/s] and accelerometer [m/s^2]."""
+_COMMON = 4
+"""Unknowns that all recordings share: how the unit is turned, how late it is."""
+PART = 0.1
+"""Part of a standard deviation for which it is computed what errors of these do."""
 _FIXED = np.repeat([1e4, 0.0, 1e2], 3)
 """Weights that hold the first sample: nothing measures where it is, and an angle about the vertical."""
 _STEPS, _CONVERGED = 20, 2e-3
@@ -34,9 +39,18 @@ _PICKED = 40
 """Samples at which the spread is computed; the mean of variances is used."""
 
 
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """Motions of a base, and what recordings share: the unit's rotation to the base, and how late it is logged [s]."""
+
+    motions: tuple[BaseMotion, ...]
+    mount: Rotation
+    late: float
+
+
 def smoothed_bases(
     units: Sequence[Unit], legs: Sequence[Legs], mount: Rotation, lag: float
-) -> tuple[list[BaseMotion], Rotation, np.ndarray]:
+) -> tuple[Smoothed, list[Smoothed]]:
     """Estimate the motion of the base in recordings of one robot.
 
     Args:
@@ -46,38 +60,40 @@ def smoothed_bases(
       lag: time over which `BaseMotion.within` is a change [s].
 
     Returns:
-      The motion of each recording, the rotation that was found, and (3,) its standard deviations about the axes of the
-      base [rad].
+      The estimate, and what it were if the unit was turned about each axis or later by `PART` of a standard deviation
+      (of what is known before), all else at its best.
 
     Raises:
       LinAlgError: measurements of the unit contradict each other.
     """
-    motions, found = [first_estimate(*pair, mount) for pair in zip(units, legs, strict=True)], mount
+    motions, found, late = [first_estimate(*pair, mount) for pair in zip(units, legs, strict=True)], mount, 0.0
+    information = np.diag([*np.full(3, 1 / MOUNT**2), 1 / LATE**2])
     for step in range(_STEPS):
         if step < _SEEN:
             points = [own.points(motion.place, motion.turn) for own, motion in zip(legs, motions, strict=True)]
         systems, after = [], []
-        for row in zip(units, legs, points, motions, strict=True):
+        moved = [unit.earlier(late) for unit in units]
+        for row in zip(moved, legs, points, motions, strict=True):
             system, changed = _system(*row, found)
             systems.append(system)
             after.append(changed)
-        information = np.eye(3) / MOUNT**2
-        pull = information @ (found * mount.inv()).as_rotvec()
+        pull = information @ [*(found * mount.inv()).as_rotvec(), late]
         parts = [_without_biases(system) for system in systems]
         covariance = np.linalg.inv(information + sum(part[0] for part in parts))
-        turned = -covariance @ (pull + sum(part[1] for part in parts))
-        steps = [_border(system, turned) for system in systems]
+        common = -covariance @ (pull + sum(part[1] for part in parts))
+        steps = [_border(system, common) for system in systems]
         changes = [system.step(border) for system, border in zip(systems, steps, strict=True)]
         last = max(float(np.abs(change[:, 3:6]).max()) for change in changes) < _CONVERGED or step == _STEPS - 1
         if not all(np.isfinite(change).all() for change in changes):
             raise np.linalg.LinAlgError("the unit's measurements contradict each other")
-        motions = [_moved(*row) for row in zip(after, changes, steps, strict=True)]
-        found = Rotation.from_rotvec(turned) * found
+        now = _moved(Smoothed(tuple(after), found, late), changes, steps)
+        motions, found, late = list(now.motions), now.mount, now.late
         if last:
             break
     lags = [max(1, round(lag / float(np.median(np.diff(unit.time))))) for unit in units]
-    rows = zip(motions, systems, lags, strict=True)
-    return [_with_spread(*row, covariance) for row in rows], found, np.sqrt(np.diag(covariance))
+    rows = zip(now.motions, systems, lags, strict=True)
+    best = replace(now, motions=tuple(_with_spread(*row, covariance) for row in rows))
+    return best, [_shifted(best, systems, own) for own in PART * np.diag(1 / np.sqrt(np.diag(information)))]
 
 
 def _system(
@@ -93,41 +109,61 @@ def _system(
         rows.append(reported)
     if unit.pose is not None:
         rows.append(poses(legs, unit, motion, inertia))
-    known = np.concatenate([np.zeros(3), 1 / BIASES**2])
-    pull = known * np.concatenate([np.zeros(3), motion.biases])
+    known = np.concatenate([np.zeros(_COMMON), 1 / BIASES**2])
+    pull = known * np.concatenate([np.zeros(_COMMON), motion.biases])
     system = eliminated(len(unit.time), rows, _FIXED, np.diag(known), pull)
     return system, replace(motion, slip=slip, gap=gap, tilt=tilt, carrying=carrying)
 
 
 def _without_biases(system: BlockSystem) -> tuple[np.ndarray, np.ndarray]:
-    """Information (3, 3) and gradient (3,) of the mount after the biases were eliminated."""
-    own, across, rest = system.information[:3, :3], system.information[:3, 3:], system.information[3:, 3:]
-    return own - across @ np.linalg.solve(rest, across.T), system.pull[:3] - across @ np.linalg.solve(
-        rest, system.pull[3:]
+    """Information (4, 4) and gradient (4,) of what recordings share, after the biases were eliminated."""
+    shared, own = slice(0, _COMMON), slice(_COMMON, COMMON)
+    across, rest = system.information[shared, own], system.information[own, own]
+    information = system.information[shared, shared] - across @ np.linalg.solve(rest, across.T)
+    return information, system.pull[shared] - across @ np.linalg.solve(rest, system.pull[own])
+
+
+def _border(system: BlockSystem, common: np.ndarray) -> np.ndarray:
+    """(10,) change of what recordings share, and of the biases that goes with it."""
+    shared, own = slice(0, _COMMON), slice(_COMMON, COMMON)
+    pull = system.pull[own] + system.information[own, shared] @ common
+    return np.concatenate([common, -np.linalg.solve(system.information[own, own], pull)])
+
+
+def _moved(now: Smoothed, changes: Sequence[np.ndarray], borders: Sequence[np.ndarray]) -> Smoothed:
+    """After changes (K, 9) of the states of each recording, and (10,) of what lies beside them."""
+    motions = tuple(
+        replace(
+            motion,
+            place=motion.place + change[:, :3],
+            velocity=motion.velocity + change[:, 3:6],
+            turn=motion.turn * Rotation.from_rotvec(change[:, 6:]),
+            biases=motion.biases + border[_COMMON:],
+        )
+        for motion, change, border in zip(now.motions, changes, borders, strict=True)
     )
+    common = borders[0][:_COMMON]
+    return Smoothed(motions, Rotation.from_rotvec(common[:3]) * now.mount, now.late + float(common[3]))
 
 
-def _border(system: BlockSystem, turned: np.ndarray) -> np.ndarray:
-    """(9,) change of the mount and of the biases that goes with it."""
-    pull = system.pull[3:] + system.information[3:, :3] @ turned
-    return np.concatenate([turned, -np.linalg.solve(system.information[3:, 3:], pull)])
+def _shifted(best: Smoothed, systems: Sequence[BlockSystem], common: np.ndarray) -> Smoothed:
+    """The estimate if what recordings share was different by `common` (4,)."""
+    rest = slice(_COMMON, COMMON)
+    borders = [
+        np.concatenate(
+            [common, -np.linalg.solve(one.information[rest, rest], one.information[rest, :_COMMON] @ common)]
+        )
+        for one in systems
+    ]
+    changes = [-(one.across @ border).reshape(-1, N) for one, border in zip(systems, borders, strict=True)]
+    return _moved(best, changes, borders)
 
 
-def _moved(motion: BaseMotion, change: np.ndarray, border: np.ndarray) -> BaseMotion:
-    return replace(
-        motion,
-        place=motion.place + change[:, :3],
-        velocity=motion.velocity + change[:, 3:6],
-        turn=motion.turn * Rotation.from_rotvec(change[:, 6:]),
-        biases=motion.biases + border[3:],
-    )
-
-
-def _with_spread(motion: BaseMotion, system: BlockSystem, lag: int, mount: np.ndarray) -> BaseMotion:
-    rest = np.linalg.inv(system.information[3:, 3:])
-    across = -rest @ system.information[3:, :3]
-    both = across @ mount
-    border = np.block([[mount, both.T], [both, rest + both @ across.T]])
+def _with_spread(motion: BaseMotion, system: BlockSystem, lag: int, common: np.ndarray) -> BaseMotion:
+    rest = np.linalg.inv(system.information[_COMMON:, _COMMON:])
+    across = -rest @ system.information[_COMMON:, :_COMMON]
+    both = across @ common
+    border = np.block([[common, both.T], [both, rest + both @ across.T]])
     count = len(motion.place)
     picked = np.unique(np.linspace(0.1 * count, 0.9 * count - lag, _PICKED).astype(int))
     at, moved = (np.sqrt(np.maximum(v, 0).mean(0)) for v in system.covariances(picked, lag, border))
