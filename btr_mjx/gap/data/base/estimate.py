@@ -82,8 +82,12 @@ def estimate_bases(recordings: Sequence[Recording], notes: list[str]) -> list[Re
     turned = np.degrees(np.linalg.norm((found.mount * mount.inv()).as_rotvec()))
     notes.append(
         "the pose of the base was not measured: its motion is estimated from the IMU and from what touches the ground "
-        f"(velocity to {speed:.1g} m/s); the IMU is turned by {turned:.2g} degrees from where the model has it, and "
-        f"logged {abs(late) * 1e3:.2g} ms {'later' if late > 0 else 'earlier'} than the encoders"
+        f"(velocity to {speed:.1g} m/s); the IMU is turned by {turned:.2g} degrees from where the model has it"
+        + (
+            f", and logged {abs(late) * 1e3:.1f} ms {'later' if late > 0 else 'earlier'} than the encoders"
+            if late
+            else ""
+        )
     )
     return [
         _filled(one, source, found, shifted, i) for i, (one, source) in enumerate(zip(recordings, sources, strict=True))

@@ -6,7 +6,7 @@ recordings how it is turned on the base and how late it is logged. Gyro and acce
 point that touches has no distance from the ground and no velocity. Whether it touches is a probability, computed from
 its own residuals at every step (expectation maximisation), as are the scatter of these residuals and the time over
 which they stay the same: a foot that creeps does so for a whole stance. The robot's dynamics are not used: nothing that
-they lack enters. Creep looks like a unit that is a millisecond late; `Smoothed` tells what that does to the states.
+they lack enters.
 
 After Bloesch et al. 2012, "State estimation for legged robots": feet and an inertial unit in one filter.
 """
@@ -27,6 +27,9 @@ MOUNT, LATE, BIASES = np.radians(2.0), 0.01, np.repeat([0.02, 0.1], 3)
 encoders [s]; biases of gyro [rad/s] and accelerometer [m/s^2]."""
 _COMMON = 4
 """Unknowns that all recordings share: how the unit is turned, how late it is."""
+_CREEP, _HELD = 3e-3, 1e-6
+"""Delays below this are not told from creep, and taken for none [s]: feet that creep under load move as if the unit was
+1 to 2 ms late or early. Standard deviation of a delay that is taken for none [s]."""
 PART = 0.1
 """Part of a standard deviation for which it is computed what errors of these do."""
 _FIXED = np.repeat([1e4, 0.0, 1e2], 3)
@@ -66,34 +69,54 @@ def smoothed_bases(
     Raises:
       LinAlgError: measurements of the unit contradict each other.
     """
-    motions, found, late = [first_estimate(*pair, mount) for pair in zip(units, legs, strict=True)], mount, 0.0
-    information = np.diag([*np.full(3, 1 / MOUNT**2), 1 / LATE**2])
-    for step in range(_STEPS):
-        if step < _SEEN:
-            points = [own.points(motion.place, motion.turn) for own, motion in zip(legs, motions, strict=True)]
-        systems, after = [], []
-        moved = [unit.earlier(late) for unit in units]
-        for row in zip(moved, legs, points, motions, strict=True):
-            system, changed = _system(*row, found)
-            systems.append(system)
-            after.append(changed)
-        pull = information @ [*(found * mount.inv()).as_rotvec(), late]
-        parts = [_without_biases(system) for system in systems]
-        covariance = np.linalg.inv(information + sum(part[0] for part in parts))
-        common = -covariance @ (pull + sum(part[1] for part in parts))
-        steps = [_border(system, common) for system in systems]
-        changes = [system.step(border) for system, border in zip(systems, steps, strict=True)]
-        last = max(float(np.abs(change[:, 3:6]).max()) for change in changes) < _CONVERGED or step == _STEPS - 1
-        if not all(np.isfinite(change).all() for change in changes):
-            raise np.linalg.LinAlgError("the unit's measurements contradict each other")
-        now = _moved(Smoothed(tuple(after), found, late), changes, steps)
-        motions, found, late = list(now.motions), now.mount, now.late
-        if last:
-            break
+    motions = tuple(first_estimate(*pair, mount) for pair in zip(units, legs, strict=True))
+    now, systems, covariance = _settled(units, legs, Smoothed(motions, mount, 0.0), mount, LATE)
+    if abs(now.late) < _CREEP and any(unit.pose is None for unit in units):
+        now, systems, covariance = _settled(units, legs, replace(now, late=0.0), mount, _HELD)
+        now = replace(now, late=0.0)
     lags = [max(1, round(lag / float(np.median(np.diff(unit.time))))) for unit in units]
     rows = zip(now.motions, systems, lags, strict=True)
     best = replace(now, motions=tuple(_with_spread(*row, covariance) for row in rows))
-    return best, [_shifted(best, systems, own) for own in PART * np.diag(1 / np.sqrt(np.diag(information)))]
+    return best, [_shifted(best, systems, own) for own in PART * np.diag([MOUNT, MOUNT, MOUNT, LATE])]
+
+
+def _settled(
+    units: Sequence[Unit], legs: Sequence[Legs], now: Smoothed, mount: Rotation, late: float
+) -> tuple[Smoothed, list[BlockSystem], np.ndarray]:
+    """Gauss-Newton steps from an estimate until it stays where it is.
+
+    Args:
+      units: of each recording.
+      legs: of each recording.
+      now: the estimate.
+      mount: as the model has it.
+      late: standard deviation of the delay before the recordings are seen [s].
+
+    Returns:
+      The estimate, the last systems, and the covariance (4, 4) of what recordings share.
+    """
+    information = np.diag(1 / np.array([MOUNT, MOUNT, MOUNT, late]) ** 2)
+    for step in range(_STEPS):
+        if step < _SEEN:
+            points = [own.points(motion.place, motion.turn) for own, motion in zip(legs, now.motions, strict=True)]
+        systems, after = [], []
+        moved = [unit.earlier(now.late) for unit in units]
+        for row in zip(moved, legs, points, now.motions, strict=True):
+            system, changed = _system(*row, now.mount)
+            systems.append(system)
+            after.append(changed)
+        pull = information @ [*(now.mount * mount.inv()).as_rotvec(), now.late]
+        parts = [_without_biases(system) for system in systems]
+        covariance = np.linalg.inv(information + sum(part[0] for part in parts))
+        common = -covariance @ (pull + sum(part[1] for part in parts))
+        borders = [_border(system, common) for system in systems]
+        changes = [system.step(border) for system, border in zip(systems, borders, strict=True)]
+        if not all(np.isfinite(change).all() for change in changes):
+            raise np.linalg.LinAlgError("the unit's measurements contradict each other")
+        now = _moved(replace(now, motions=tuple(after)), changes, borders)
+        if max(float(np.abs(change[:, 3:6]).max()) for change in changes) < _CONVERGED:
+            break
+    return now, systems, covariance
 
 
 def _system(
