@@ -1,6 +1,6 @@
 """What measured torques tell of arms: `uv run python benchmarks/torques.py --cases 10 --json torques.json`.
 
-    uv run python benchmarks/torques.py --question weak_or_stiff      # a weak motor and damping at the same joint
+    uv run python benchmarks/torques.py --cases 9 --without 4         # a weak motor and damping at the same joint
     uv run python benchmarks/torques.py --question drives             # controllers unknown: friction, damping, rotors
 
 An arm of six joints is recorded with encoders (0.2 mrad) and drives that report their torques (0.05 N m; torque
@@ -48,6 +48,8 @@ class Config:
     """What is asked of the recordings."""
     cases: int = 10
     """Number of arms."""
+    without: int = 10
+    """Arms of the first question that are solved without their torques, too."""
     seed: int = 1
     """Seed of the arms."""
     json: Path | None = None
@@ -184,7 +186,7 @@ def row_of(config: Config, index: int) -> dict[str, Any]:
             return {"truth": truth, "verdict": found.verdict, "errors": errors_of(truth, found), "seconds": seconds}
         truth = weak_or_stiff(rng, folder)
         row: dict[str, Any] = {"truth": truth}
-        for side in ("with", "without"):
+        for side in ("with", "without") if index < config.without else ("with",):
             found, seconds = solved(folder / side)
             names = [f"{e.effect}@{e.location}" for e in found.effects]
             row[side] = {"both": both_found(truth, found), "names": names, "seconds": seconds}
@@ -201,13 +203,14 @@ def main(config: Config) -> None:
             write_json(config.json, {"question": config.question, "rows": rows})
     if config.question == "drives":
         for name in DRIVES:
-            found = np.abs([row["errors"][name] for row in rows])
-            print(f"{name}: {(found < 0.1).mean():.0%} of {found.size} within 10 %, median {np.median(found):.1%}")
+            errors = np.abs([row["errors"][name] for row in rows])
+            print(f"{name}: {(errors < 0.1).mean():.0%} of {errors.size} within 10 %, median {np.median(errors):.1%}")
         whole = [all(max(map(abs, row["errors"][name])) < 0.1 for name in ("friction", "rotor")) for row in rows]
         print(f"arms with all friction and rotors within 10 %: {sum(whole)} of {len(rows)}")
     else:
         for side in ("with", "without"):
-            print(f"{side} torques: both found in {sum(row[side]['both'] for row in rows)} of {len(rows)}")
+            found = [row[side]["both"] for row in rows if side in row]
+            print(f"{side} torques: both found in {sum(found)} of {len(found)}")
 
 
 if __name__ == "__main__":
