@@ -115,8 +115,11 @@ def _conventions(
     """Signs, units, order and frames; only in data whose time and rows are sound."""
     if any(finding.level == "error" for finding in before):
         return []
-    found = position_conventions(dataset, noise) + velocity_conventions(dataset, noise)
-    return found if any(finding.level == "error" for finding in found) else found + _units(joints)
+    found = position_conventions(dataset, noise)
+    # Velocities are compared with the slopes of positions, whose units decide what theirs look like.
+    for check in (lambda: _units(joints), lambda: velocity_conventions(dataset, noise)):
+        found += [] if any(finding.level == "error" for finding in found) else check()
+    return found
 
 
 def _units(joints: Sequence[JointTrack]) -> list[Finding]:

@@ -11,6 +11,7 @@ from robot_logs import FLOATER
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import base_unmeasured, make_recording, open_logs, save_dataset, sensor_columns
 from btr_mjx.gap.data.columns.matching import match_columns
+from btr_mjx.gap.data.columns.required import check_matched
 from btr_mjx.gap.data.columns.units import conversion, stated_unit
 
 Columns = dict[str, np.ndarray]
@@ -115,6 +116,14 @@ def test_a_model_without_an_imu_gets_lines_to_add() -> None:
     assert "<site name=\"imu\"/> to the body 'trunk'" in notes
     lines = notes[notes.index("<sensor>") : notes.index("</sensor>") + len("</sensor>")]
     assert set(names_of(columns, robot(lines))[0]) == set(columns)
+
+
+def test_where_a_pose_is_missing_what_its_imu_lacks_is_named() -> None:
+    """As in logs of learned controllers, which hold a gyro and no accelerometer."""
+    tables = [("log", [*JOINTS, *(f"gyro_{axis}" for axis in "xyz")])]
+    instead = r"\(in place of the pose of 'root': 'sensor/imu_acc/x', 'sensor/imu_acc/y', 'sensor/imu_acc/z'\)"
+    with pytest.raises(InputError, match=rf"no column 'qpos/root/x', .* {instead}; columns of the file"):
+        check_matched(match_columns(tables, ROBOT, {}, "x"), tables, ROBOT, "x")
 
 
 def test_units_in_names() -> None:

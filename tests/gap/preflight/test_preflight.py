@@ -107,6 +107,19 @@ def test_degrees_of_short_recordings_are_detected_from_limits_and_turns() -> Non
     assert any("joint 'elbow' has a command that reaches" in message for message in found)
 
 
+def test_velocities_wait_for_the_unit_of_positions() -> None:
+    """Beside degrees, revolutions per minute look like revolutions per second."""
+
+    def all_degrees(recording: Recording) -> Recording:
+        cut = recording.part(slice(100, 160), recording.split, recording.name)
+        rpm = cut.qvel * 60 / 2 / np.pi
+        return dataclasses.replace(cut, qpos=10 * DEGREES * cut.qpos, qvel=10 * rpm, ctrl=10 * DEGREES * cut.ctrl)
+
+    errors = of_level(preflight(changed(all_degrees)), "error")
+    assert any("looks like degrees" in message for message in errors)
+    assert not any("qvel" in message for message in errors)
+
+
 def test_no_excitation_is_an_error() -> None:
     data = dataclasses.replace(SOUND, recordings=tuple(simulated(i, still=True) for i in range(3)))
     with pytest.raises(InputError, match="no excitation"):

@@ -10,7 +10,9 @@ from btr_mjx.gap.data.columns.model_columns import (
     check_sensors,
     check_spelling,
     check_velocities,
+    imu_columns,
     model_columns,
+    sensor_columns,
     unmeasured_bases,
 )
 from btr_mjx.gap.data.columns.remedy import NO_FILE, Answer
@@ -72,8 +74,13 @@ def check_matched(
     if missing and all(c.startswith("ctrl/") and c.replace("ctrl/", "force/", 1) in found for c in missing):
         raise CommandsMissing(f"{where}: there is no column {listed(missing, quotes=True)}")
     if missing:
+        instead = [
+            f" (in place of the pose of {joint!r}: {listed([c for c in own if c not in found], quotes=True)})"
+            for i, joint in enumerate(joints)
+            if f"qpos/{joint}/x" in missing and (own := imu_columns(sensor_columns(model), model, i))
+        ]
         message = (
-            f"{where}: there is no column {listed(missing, quotes=True)}; columns of the file: "
+            f"{where}: there is no column {listed(missing, quotes=True)}{''.join(instead)}; columns of the file: "
             f"{listed(known, quotes=True)}"
         )
         raise answer.asked(message, near(missing, free), hidden)
