@@ -89,7 +89,7 @@ class Catalogue:
             out += self._orders()
         for g, h in combinations(scalar[:_SWAP_JOINTS], 2):
             out += self._swaps(g, h)
-        return out
+        return [*out, self._weightless()] if out else []
 
     def turned(self) -> dict[int, Change]:
         """Changes by which positions and commands of a joint both count the other way round, by id of the joint."""
@@ -270,6 +270,11 @@ class Catalogue:
                 remedy = "change gravity in <option>, or turn the base in the model or in the data"
                 change = Change(self._qpos(), self._ctrl(), chosen)
                 yield Alternative(change, tuple(poor), words, remedy, "gravity")
+
+    def _weightless(self) -> Alternative:
+        """Forces that the model lacks hold the robot: motors of its joints, or ground that it stands on deeper."""
+        change = Change(self._qpos(), self._ctrl(), (0.0, 0.0, 0.0))
+        return Alternative(change, tuple(range(len(self._groups))), "", "", "", nuisance=True)
 
     # -- columns
 

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from functools import cache
 
+import imu_logs
 import mujoco
 import numpy as np
 import pytest
@@ -169,6 +170,13 @@ def test_they_are_named_without_measured_velocities(case: str) -> None:
     robot, plant, message = CASES[case]
     found = errors(planted(sound(robot), plant, measured=False))
     assert any(re.search(message, text) for text in found), found
+
+
+def test_a_robot_whose_motors_the_model_lacks_is_not_turned_over() -> None:
+    """Without them it falls, and gravity that points up is nearer to what stood than gravity that points down."""
+    log = {name: own for name, own in imu_logs.walk(4.0).items() if not name.startswith(("sensor", "ctrl"))}
+    data = imu_logs.dataset(log, re.sub("<actuator>.*</actuator>", "", imu_logs.quadruped(""), flags=re.DOTALL))
+    assert not [f.message for f in preflight(data) if f.level == "error"]
 
 
 def test_gravity_of_a_free_body_in_flight() -> None:
