@@ -67,13 +67,16 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
         findings.append(Finding(level, "loading", line + of))
     findings += sampling(dataset)
     findings += held_positions(dataset) + held_commands(dataset) + angle_jumps(dataset)
+    imu = [] if any(finding.level == "error" for finding in findings) else imu_conventions(dataset)
+    # Where an IMU stands in for a pose, all predictions start from what it says.
+    findings += [finding for finding in imu if finding.level == "error"]
     findings += _conventions(dataset, joints, noise, findings)
     findings += _channels(dataset, joints, noise)
     findings += response_delays(dataset, joints) + reported_torques(dataset)
     findings += _parameter_bounds(dataset)
     findings += _excitation(dataset, joints, effects)
     if all(finding.level != "error" for finding in findings):
-        findings += imu_conventions(dataset)
+        findings += imu
         findings += [Finding("error", "base", _NO_MOTION)] if any(map(base_unmeasured, dataset.recordings)) else []
     if all(finding.level != "error" for finding in findings):
         findings += undecided_signs(dataset, noise) + stability(dataset)

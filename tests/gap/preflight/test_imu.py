@@ -10,7 +10,7 @@ from imu_logs import POSE, dataset, quadruped, walk
 from scipy.spatial.transform import Rotation
 
 from btr_mjx.gap.data.recordings.recording import StateEstimate
-from btr_mjx.gap.preflight import Finding
+from btr_mjx.gap.preflight import Finding, preflight
 from btr_mjx.gap.preflight.imu import imu_conventions
 
 Columns = dict[str, np.ndarray]
@@ -114,3 +114,12 @@ def test_a_pose_that_was_estimated_is_no_measurement(right: Columns) -> None:
     (finding,) = imu_conventions(replace(data, recordings=(estimated,)))
     assert finding.level == "error"
     assert "of the model at its start" in finding.message
+
+
+def test_an_imu_in_place_of_a_pose_is_judged_before_the_joints(right: Columns) -> None:
+    """All predictions start from the pose that it tells."""
+    joints = [name for name in right if name.startswith(("qpos/", "ctrl/")) and name not in POSE]
+    columns = times(without_gravity(right), joints, 180 / np.pi)
+    data = dataset({name: own for name, own in columns.items() if name not in [*POSE, *ORIENTATION]})
+    (error,) = [one.message for one in preflight(data) if one.level == "error"]
+    assert "gravity was taken out" in error
