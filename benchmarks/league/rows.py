@@ -14,7 +14,6 @@ from contest import BENCHMARKS, EXAMPLES, Budget, Room, Task, league_robot, pred
 from contestants import CONTESTANTS
 
 import btr_mjx
-from btr_mjx.errors import InputError
 from btr_mjx.runs import read_json, write_json
 
 FRESH = 12
@@ -49,8 +48,8 @@ def contest(reality: str, contestant: str, seed: int, trials: int, budget: Budge
     begun = time.process_time()
     try:
         answer = CONTESTANTS[contestant](Task(robot, unknown_of(robot), room, trials, seed, budget))
-    except InputError as error:
-        return row | {"failed": str(error)}
+    except Exception as error:
+        return row | {"failed": " ".join(f"{type(error).__name__}: {error}".split())}
     row |= {"cpu_seconds": time.process_time() - begun, "found": list(answer.found)}
     row |= {"measured": room.tried()[1].tolist(), "controller": answer.controller.tolist()}
     row["fitness"] = float(Room(reality, exchange / "exam", 1, exact=True).measure(answer.controller, 0)[0, -1])
