@@ -36,6 +36,8 @@ QUICK = Budget(controllers=24, generations=6, rounds=2, draws=4, simulations=12,
 """Budget of --quick, for a look."""
 SORTS = {"library": "effects", "outside": "outside", "nothing": "nothing"}
 """What is hidden in a reality, and the title of its column."""
+GOOD = 0.9
+"""Score from which a controller counts as good as the oracle's."""
 
 
 @dataclass(frozen=True)
@@ -74,10 +76,10 @@ def judged(row: Mapping[str, Any], yard: Mapping[str, Any], trials: int) -> dict
 
     Returns:
       The row. `regret` is the mean over trials of what the best controller so far lacks to the oracle;
-      `delta` is Delta_fitness on fresh controllers, on the scale of scores, None without a simulator. A trial that
-      failed counts as that of a random controller.
+      `delta` is Delta_fitness on fresh controllers, on the scale of scores, None without a simulator. A trial or a
+      contestant that failed counts as a random controller.
     """
-    out = {**row, "sort": yard["sort"], "hidden": yard["hidden"], "score": None, "regret": None, "delta": None}
+    out = {**row, "sort": yard["sort"], "hidden": yard["hidden"], "score": 0.0, "regret": 1.0, "delta": None}
     if "failed" in row:
         return out
     shares = np.nan_to_num(share(row["measured"], yard), nan=0.0)
@@ -133,11 +135,12 @@ def league(config: Config) -> dict[str, Any]:
     return {"config": config, "code": code, "environment": describe_environment(), "yardsticks": yards, "rows": rows}
 
 
-def table(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
-    """Cells of the table: for each contestant its mean score by robot and by what is hidden, and means of all."""
+def tables(rows: Sequence[Mapping[str, Any]]) -> list[list[list[str]]]:
+    """Cells of two tables, a row for each contestant: all realities; mean scores by robot and by what is hidden."""
     robots = list(dict.fromkeys(row["reality"].partition("-")[0] for row in rows))
     sorts = [sort for sort in SORTS if any(row["sort"] == sort for row in rows)]
-    out = [["contestant", *robots, *(SORTS[sort] for sort in sorts), "score", "regret", "Delta_fitness", "CPU-s"]]
+    totals = [["contestant", "median score", f"score >= {GOOD:g}", "regret", "Delta_fitness", "CPU-s"]]
+    parts = [["contestant", *robots, *(SORTS[sort] for sort in sorts), "mean"]]
 
     def mean(own: Sequence[Mapping[str, Any]], key: str, digits: int = 2) -> str:
         values = [row[key] for row in own if row.get(key) is not None]
@@ -145,11 +148,14 @@ def table(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
 
     for contestant in dict.fromkeys(row["contestant"] for row in rows):
         own = [row for row in rows if row["contestant"] == contestant]
-        parts = [[row for row in own if row["reality"].startswith(f"{robot}-")] for robot in robots]
-        parts += [[row for row in own if row["sort"] == sort] for sort in sorts]
-        means = [mean(own, key) for key in ("score", "regret", "delta")]
-        out.append([contestant, *(mean(part, "score") for part in parts), *means, mean(own, "cpu_seconds", 0)])
-    return out
+        scores = np.array([row["score"] for row in own])
+        good = f"{np.sum(scores >= GOOD)} of {len(own)}"
+        rest = (mean(own, "regret"), mean(own, "delta"), mean(own, "cpu_seconds", 0))
+        totals.append([contestant, f"{np.median(scores):.2f}", good, *rest])
+        groups = [[row for row in own if row["reality"].startswith(f"{robot}-")] for robot in robots]
+        groups += [[row for row in own if row["sort"] == sort] for sort in sorts]
+        parts.append([contestant, *(mean(group, "score") for group in [*groups, own])])
+    return [totals, parts]
 
 
 def main() -> None:
@@ -159,8 +165,9 @@ def main() -> None:
         report = league(config)
         if config.json is not None:
             write_json(config.json, report)
-    cells = table(report["rows"])
-    print("\n".join(f"| {' | '.join(line)} |" for line in [cells[0], ["---"] * len(cells[0]), *cells[1:]]))
+    for cells in tables(report["rows"]):
+        lines = [cells[0], ["---"] * len(cells[0]), *cells[1:]]
+        print("\n".join(f"| {' | '.join(line)} |" for line in lines), end="\n\n")
     for row in report["rows"]:
         if "failed" in row:
             note(f"{row['reality']}, {row['contestant']}, seed {row['seed']}: {row['failed']}")

@@ -102,6 +102,22 @@ def test_the_score_of_the_oracle_is_1(parts: Any, tmp_path: Path, monkeypatch: p
         assert judged["delta"] is None
 
 
+def test_a_contestant_that_crashes_counts_as_a_random_controller(
+    parts: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def contestant(task: Any) -> Any:
+        task.reality.measure(controllers(parts, "finger-0", 1), 0)
+        raise ZeroDivisionError("no such\nnumber")
+
+    monkeypatch.setattr(parts.rows, "CONTESTANTS", {"own": contestant})
+    row = parts.rows.contest("finger-0", "own", 0, 8, parts.contest.Budget(), tmp_path)
+    assert row["failed"] == "ZeroDivisionError: no such number"
+    yard = {"fitness": 2.0, "fresh": [1.0], "sort": "library", "hidden": []}
+    judged = parts.league.judged(row, yard, 8)
+    assert (judged["score"], judged["regret"], judged["delta"]) == (0.0, 1.0, None)
+    assert parts.league.tables([judged])[0][1][:4] == ["own", "0.00", "0 of 1", "1.00"]
+
+
 @pytest.mark.parametrize("name", ["thrower-0", "finger-0", "cart-0", "hopper-0", "quadruped-0"])
 def test_a_reality_without_secrets_is_the_library_s(parts: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """At the true numbers, two implementations of a robot move alike."""
@@ -161,6 +177,9 @@ def test_the_league_goes_on_where_it_was_killed(tmp_path: Path) -> None:
     rows = json.loads((tmp_path / "all.json").read_text())["rows"]
     assert [row["contestant"] for row in rows] == ["believed", "no_simulator"]
     assert all(len(row["measured"]) == 8 and 0 < row["score"] < 1.5 for row in rows)
-    cells = [[cell.strip() for cell in line.split("|")][1:-1] for line in texts[0].splitlines()]
-    assert cells[0][:4] == ["contestant", "finger", "outside", "score"]
-    assert [line[:4] for line in cells[2:]] == [[row["contestant"], *[f"{row['score']:.2f}"] * 3] for row in rows]
+    cells = [[cell.strip() for cell in line.split("|")][1:-1] for line in texts[0].splitlines() if line]
+    assert cells[4:6] == [["contestant", "finger", "outside", "mean"], ["---"] * 4]
+    for row, total, part in zip(rows, cells[2:4], cells[6:], strict=True):
+        score = f"{row['score']:.2f}"
+        assert total[:3] == [row["contestant"], score, f"{int(row['score'] >= 0.9)} of 1"]
+        assert part == [row["contestant"], *[score] * 3]
