@@ -77,11 +77,17 @@ class _Unknown(PathParameter):
 
     def write(self, model: mujoco.MjModel, value: float) -> None:
         """Add what changes between the simulation and one with another value."""
-        there = np.array(self.simulation)
-        there[self.robot.simulation_box.index(self.name)] = value
-        before, after = _model_at(self.robot, self.simulation), World.of(general_model(self.robot, there))
-        for name, own in differing_fields(after, before).items():
-            write_field(model, name, read_field(model, name) + own - read_field(before, name))
+        for name, change in _changes(self.robot, self.simulation, self.name, value).items():
+            write_field(model, name, read_field(model, name) + change)
+
+
+@lru_cache(maxsize=64)
+def _changes(robot: Robot, simulation: tuple[float, ...], name: str, value: float) -> Mapping[str, np.ndarray]:
+    """What changes in the fields of a model when a simulation gets another value of a parameter."""
+    there = np.array(simulation)
+    there[robot.simulation_box.index(name)] = value
+    before, after = _model_at(robot, simulation), World.of(general_model(robot, there))
+    return {name: own - read_field(before, name) for name, own in differing_fields(after, before).items()}
 
 
 @lru_cache(maxsize=4)
