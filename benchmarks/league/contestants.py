@@ -137,10 +137,6 @@ def _fitted(task: Task, robot: Robot, simulation: np.ndarray) -> np.ndarray:
 
 def back_to_reality(task: Task, grow_from: Literal["recordings", "fitness"] | None = None) -> Answer:
     """Back-to-Reality: CMA-ES on what is unknown, from fitness; with growth where data of it are named."""
-    budget = task.budget
-    # The first controller is the best one of the believed model; coevolve itself would take a random one.
-    generations = budget.generations * budget.rounds // (budget.rounds + 1)
-    first, scores = evolved(task.robot, task.robot.nominal_simulation[None], budget, generations, [task.seed, 1])
     config = CoevolveConfig(
         unknown=task.unknown,
         reality="folder",
@@ -148,18 +144,18 @@ def back_to_reality(task: Task, grow_from: Literal["recordings", "fitness"] | No
         engine="native",
         fitness=task.robot.fitness,
         optimiser="cma",
-        iterations=budget.rounds,
-        trials=(task.trials - 1) // budget.rounds,  # the first controller is a trial, too
-        controllers=budget.controllers,
-        controller_generations=generations,
-        simulations=budget.simulations,
-        simulation_generations=budget.simulation_generations,
+        iterations=task.budget.rounds,
+        trials=(task.trials - 1) // task.budget.rounds,  # the first controller is a trial, too
+        controllers=task.budget.controllers,
+        controller_generations=task.budget.generations,
+        simulations=task.budget.simulations,
+        simulation_generations=task.budget.simulation_generations,
         grow=grow_from is not None,
         grow_from=grow_from or "fitness",
         seed=task.seed,
     )
     problem = replace(build_problem(config, task.robot), reality=task.reality)
-    state = begin(problem, first[np.unravel_index(best_index(task.robot, scores), scores.shape)])
+    state = begin(problem)
     while state.phase != "done":
         state = advance(problem, state)
     added = tuple(f"{entry['effect']}@{entry['location']}" for entry in state.grown)

@@ -1,8 +1,8 @@
 """The Back-to-Reality algorithm: co-evolve a robot's controller and its simulation.
 
 Iteration i:
-  1. Controller search: a population of M controllers is made from c_(i-1) by bit flips and evolved for a few
-     generations in the best simulation s_(i-1).
+  1. Controller search: a population of M controllers, made from c_(i-1) by bit flips or in iteration 1 at random, is
+     evolved for a few generations in the best simulation s_(i-1).
   2. Selection, transfer, test: the m best are tried in reality; the one that is best in reality becomes c_i.
   3. Simulation search: a population of L simulations around s_(i-1) is evolved to minimise Delta_fitness; see
      `simulation_search`.
@@ -35,7 +35,7 @@ from btr_mjx.backtoreality.trial_information import informative
 from btr_mjx.errors import InputError
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.models import base_model
-from btr_mjx.optimise import GAState
+from btr_mjx.optimise import GAState, GeneticAlgorithm
 
 Report = Callable[[str, dict[str, Any]], None]
 """Callback for results, with their kind.
@@ -111,8 +111,7 @@ def search_controllers(problem: Problem, state: State, report: Report) -> State:
     """Step 1, one generation: evolve controllers in s_(i-1)."""
     settings, box = problem.settings.step_1, problem.controller_box
     algorithm = genetic_algorithm(box, settings, maximise=problem.fitness.maximise)
-    search = state.search or algorithm.init(problem.rng(state.iteration, 1), genome=state.genome)
-    genomes, search = algorithm.ask(search)
+    genomes, search = algorithm.ask(state.search or _first_population(problem, state, algorithm))
     scores = problem.simulate(state.simulation[None], box.decode(genomes))[0]
     state = _after_generation(state, algorithm.tell(search, genomes, scores), genomes, scores)
     report("generation", _generation_row(state, "controllers", scores, problem.fitness.maximise))
@@ -123,6 +122,15 @@ def search_controllers(problem: Problem, state: State, report: Report) -> State:
     if state.iteration == 1 and len(genomes):
         report("planned", {"told": told_by_plan(problem, state.simulation, box.decode(genomes))})
     return replace(state, phase="transfer", search=None, genomes=genomes[None], scores=scores[None])
+
+
+def _first_population(problem: Problem, state: State, algorithm: GeneticAlgorithm) -> GAState:
+    """The state with which step 1 begins, see `BTRSettings.first_population`."""
+    rng = problem.rng(state.iteration, 1)
+    if state.iteration > 1 or problem.settings.first_population == "mutants":
+        return algorithm.init(rng, genome=state.genome)
+    drawn = algorithm.init(rng)
+    return replace(drawn, parents=np.concatenate([state.genome[None], drawn.parents[1:]]))
 
 
 def _chosen(problem: Problem, state: State) -> tuple[np.ndarray, np.ndarray]:

@@ -69,6 +69,7 @@ PRESETS: dict[str, CoevolveConfig] = {
         behaviours="latest",
         controllers=60,
         controller_generations=10,
+        first_population="mutants",
         simulations=50,
         simulation_generations=30,
         simulation_p_m=0.05,

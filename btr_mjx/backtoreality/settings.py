@@ -105,6 +105,8 @@ class BTRSettings:
     """M, population of controllers."""
     controller_generations: int = 6
     """Generations of step 1."""
+    first_population: Literal["random", "mutants"] = "random"
+    """Controllers with which iteration 1 begins: random ones and the first controller, or mutants of it (the paper)."""
     p_m: float = 0.02
     """Probability per bit of flipping a controller's bit."""
     controller_bits: int = 8
