@@ -70,6 +70,19 @@ def test_the_loop_counts_every_evaluation_in_reality(problem: Problem) -> None:
     assert [r["iteration"] for r in rows["iteration"]] == [1, 2]
 
 
+@pytest.mark.parametrize("first", ["random", "mutants"])
+def test_the_population_with_which_step_1_begins(problem: Problem, first: Literal["random", "mutants"]) -> None:
+    settings = dataclasses.replace(SETTINGS, first_population=first)
+    state, rows = run(dataclasses.replace(problem, settings=settings))
+    populations = [row["genomes"][0] for row in rows["archive"] if row["phase"] == "controllers"]
+    best = 1 + int(np.argmax(state.trials.f_r[1:4]))
+    flipped = [(0.5, 0.05) if first == "random" else (settings.p_m, 0.015), (settings.p_m, 0.015)]
+    for population, row, (share, error) in zip(populations, (0, best), flipped, strict=True):
+        own = problem.controller_box.decode(population[0])
+        np.testing.assert_array_equal(own, state.trials.controllers[row])
+        assert (population[1:] != population[0]).mean() == pytest.approx(share, abs=error)
+
+
 def test_step_2_tries_the_best_of_the_last_generation(problem: Problem) -> None:
     state, rows = run(problem)
     last = rows["archive"][0]
