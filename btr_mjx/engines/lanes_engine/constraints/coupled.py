@@ -24,6 +24,9 @@ from btr_mjx.engines.scalars import Scalar, add, array, dot, full, is_zero, matv
 
 _MAX_ITERATIONS = 60
 
+_ROUNDINGS = 10
+"""Units of rounding to which the residual falls, relative to the first: errors of a step do not shrink below."""
+
 type _Rows = list[list[jax.Array]]
 """Per coupling, its rows (K, C)."""
 
@@ -43,7 +46,7 @@ def solve_coupled(
     plan = factors.plan
     couplings, linear = [c for c, _ in coupled], [c.cone.linear(model) for c, model in coupled]
     lanes, dtype = like[0].shape[-1], like[0].dtype
-    tolerance = float(jnp.finfo(dtype).eps) ** 2
+    tolerance = (_ROUNDINGS * float(jnp.finfo(dtype).eps)) ** 2
 
     def pulled(rows: Sequence[Sequence[Scalar]]) -> tuple[dict[int, Spatial], dict[int, Scalar]]:
         return member_forces(plan, [w for c, own in zip(couplings, rows, strict=True) for w in c.forces(own)])
