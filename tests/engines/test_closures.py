@@ -9,6 +9,7 @@ from lanes_models import FAST, QUICK, chain, mjcf, quadruped
 
 from btr_mjx import lanes
 from btr_mjx.engines import LanesStepper
+from btr_mjx.engines.lanes_engine.kinematics import matrix_quaternion
 from btr_mjx.engines.lanes_engine.lanes_state import LanesState
 
 ROD = '<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" conaffinity="0"/>'
@@ -117,6 +118,20 @@ def test_a_step_equals_native(case: str, rng: np.random.Generator) -> None:
     for x, name in zip(found, ("qacc", "qvel"), strict=True):
         assert relative_error(x, columns(states, name)[0]) < 1e-10, name
     assert (sum(data.ncon for data in states) > 50) == (case == "alike_legs")
+
+
+def test_the_quaternion_of_a_matrix_is_exact_also_of_half_turns(rng: np.random.Generator) -> None:
+    turns = [*np.eye(4), *rng.normal(size=(20, 4)), *(rng.normal(size=(20, 4)) * [1e-9, 1, 1, 1])]
+    quaternions = np.array([q / np.linalg.norm(q) for q in turns])
+    matrices = np.zeros((len(quaternions), 9))
+    for q, matrix in zip(quaternions, matrices, strict=True):
+        mujoco.mju_quat2Mat(matrix, q)
+    with jax.enable_x64(True):
+        found = np.array(
+            matrix_quaternion([[jnp.asarray(matrices[:, 3 * i + j]) for j in range(3)] for i in range(3)])
+        ).T
+    sign = np.sign((found * quaternions).sum(1, keepdims=True))
+    np.testing.assert_allclose(sign * found, quaternions, rtol=0, atol=1e-15)
 
 
 def test_single_precision_is_enough_for_stiff_constraints(rng: np.random.Generator) -> None:
