@@ -29,7 +29,8 @@ _COMMON = 4
 """Unknowns that all recordings share: how the unit is turned, how late it is."""
 _CREEP, _HELD = 3e-3, 1e-6
 """Delays below this are not told from creep, and taken for none [s]: feet that creep under load move as if the unit was
-1 to 2 ms late or early. Standard deviation of a delay that is taken for none [s]."""
+1 to 2 ms late or early. Larger ones are whole samples, as rows hold what was read last. Standard deviation of a delay
+that is taken for known [s]."""
 PART = 0.1
 """Part of a standard deviation for which it is computed what errors of these do."""
 _FIXED = np.repeat([1e4, 0.0, 1e2], 3)
@@ -71,9 +72,11 @@ def smoothed_bases(
     """
     motions = tuple(first_estimate(*pair, mount) for pair in zip(units, legs, strict=True))
     now, systems, covariance = _settled(units, legs, Smoothed(motions, mount, 0.0), mount, LATE)
-    if abs(now.late) < _CREEP and any(unit.pose is None for unit in units):
-        now, systems, covariance = _settled(units, legs, replace(now, late=0.0), mount, _HELD)
-        now = replace(now, late=0.0)
+    if any(unit.pose is None for unit in units):
+        interval = float(np.median(np.diff(units[0].time)))
+        late = 0.0 if abs(now.late) < _CREEP else round(now.late / interval) * interval
+        now, systems, covariance = _settled(units, legs, replace(now, late=late), mount, _HELD)
+        now = replace(now, late=late)
     lags = [max(1, round(lag / float(np.median(np.diff(unit.time))))) for unit in units]
     rows = zip(now.motions, systems, lags, strict=True)
     best = replace(now, motions=tuple(_with_spread(*row, covariance) for row in rows))
@@ -90,12 +93,12 @@ def _settled(
       legs: of each recording.
       now: the estimate.
       mount: as the model has it.
-      late: standard deviation of the delay before the recordings are seen [s].
+      late: standard deviation of the delay around that of the estimate, before the recordings are seen [s].
 
     Returns:
       The estimate, the last systems, and the covariance (4, 4) of what recordings share.
     """
-    information = np.diag(1 / np.array([MOUNT, MOUNT, MOUNT, late]) ** 2)
+    information, believed = np.diag(1 / np.array([MOUNT, MOUNT, MOUNT, late]) ** 2), now.late
     for step in range(_STEPS):
         if step < _SEEN:
             points = [own.points(motion.place, motion.turn) for own, motion in zip(legs, now.motions, strict=True)]
@@ -105,7 +108,7 @@ def _settled(
             system, changed = _system(*row, now.mount)
             systems.append(system)
             after.append(changed)
-        pull = information @ [*(now.mount * mount.inv()).as_rotvec(), now.late]
+        pull = information @ [*(now.mount * mount.inv()).as_rotvec(), now.late - believed]
         parts = [_without_biases(system) for system in systems]
         covariance = np.linalg.inv(information + sum(part[0] for part in parts))
         common = -covariance @ (pull + sum(part[1] for part in parts))
