@@ -315,12 +315,6 @@ def test_energy_is_conserved_without_damping(rng: np.random.Generator) -> None:
         ),
         (mjcf(chain(1), actuators='<muscle name="biceps" joint="p0" lengthrange="0 1"/>'), ["MUSCLE", "biceps"]),
         (mjcf(chain(1).replace("<body ", '<body gravcomp="1" name="arm" ', 1)), ["gravity compensation", "arm"]),
-        (
-            mjcf(chain(1).replace("<body ", '<body name="arm" ', 1)).replace(
-                "</mujoco>", '<equality><connect name="hook" body1="arm" anchor="0 0 0"/></equality></mujoco>'
-            ),
-            ["equality", "hook"],
-        ),
         (tendons(mjcf(biped())).replace('name="all"', 'name="all" armature="0.1"'), ["armature of tendons", "all"]),
         pytest.param(
             tendons(mjcf(biped()), ("hip0.1", "hip0.1")),

@@ -22,7 +22,8 @@ ARM = """<mujoco><option timestep="0.002"/><worldbody><geom name="floor" type="p
 <actuator><motor joint="shoulder" gear="2"/>
 <general joint="elbow" dyntype="filter" dynprm="0.02" gainprm="1"/></actuator>
 </mujoco>"""
-EQUALITY = """</worldbody><equality><weld name="hold" body1="lower"/></equality><worldbody>"""
+REFUSED = """</worldbody><tendon><spatial name="rope" stiffness="1"><site site="hook"/><site site="eye"/></spatial>
+</tendon><worldbody><site name="hook"/><body><site name="eye"/></body>"""
 FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
@@ -143,7 +144,7 @@ def test_fields_may_differ_between_worlds(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize(
     ("extra", "near", "words"),
     [
-        (EQUALITY, 0.0, "equality"),
+        (REFUSED, 0.0, "spatial tendons"),
         ("", 1.0, "worlds that were tried"),
     ],
 )
@@ -179,12 +180,12 @@ def test_guards_hand_over_most_worlds_where_the_tried_ones_stay_clear(
 
 
 def test_coverage_names_what_is_computed_guarded_and_refused(tmp_path: Path) -> None:
-    found = lanes.coverage(ARM.format(extra=EQUALITY))
+    found = lanes.coverage(ARM.format(extra=REFUSED))
     assert found.verdict == "refused"
     assert set(found.computed) == {"upper and floor", "lower and floor", "ball and floor"}
     assert any("(upper and ball)" in line for line in found.guarded)
     assert not any("upper" in line and "lower" in line for line in found.guarded)  # parent and child
-    assert [line for line in found.refused if "hold" in line]
+    assert [line for line in found.refused if "rope" in line]
     path = tmp_path / "arm.xml"
     path.write_text(ARM.format(extra=""))
     assert lanes.coverage(path).verdict == "guarded"

@@ -16,6 +16,7 @@ VARYING = frozenset(
         "actuator": "gainprm biasprm dynprm gear ctrlrange forcerange actrange delay",
         "tendon": "range margin frictionloss invweight0 length0 solref_lim solimp_lim solref_fri solimp_fri",
         "eq": "data solref solimp",
+        "site": "pos quat",
     }.items()
     for field in fields.split()
 ) | {"qpos0", "qpos_spring", "opt.gravity", "opt.wind", "opt.density", "opt.viscosity", "opt.impratio"}
@@ -44,9 +45,8 @@ def base_field(model: mujoco.MjModel, field: str) -> np.ndarray:
 
 def influences_motion(field: str) -> bool:
     """Whether a field can influence the motion of a supported model, other than through fields derived from it."""
-    physical = field.startswith(
-        ("body_", "jnt_", "dof_", "geom_", "actuator_", "tendon_", "wrap_", "eq_", "opt.", "qpos")
-    )
+    bodies = ("body_", "jnt_", "dof_", "geom_", "site_pos", "site_quat", "opt.", "qpos")
+    physical = field.startswith((*bodies, "actuator_", "tendon_", "wrap_", "eq_"))
     return physical and field not in _NO_INFLUENCE and not field.endswith("_user") and not field.startswith("body_bvh")
 
 

@@ -30,6 +30,7 @@ from btr_mjx.engines.scalars import (
     scale,
     sub,
     tangents,
+    total,
     vadd,
 )
 
@@ -72,6 +73,24 @@ def quaternion_matrix(q: Sequence[jax.Array]) -> list[list[jax.Array]]:
         [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
     ]
+
+
+def matrix_quaternion(m: Matrix) -> list[Scalar]:
+    """A unit quaternion, of either sign, of a rotation matrix."""
+    trace = [m[i][i] for i in range(3)]
+    # Rows of four times the product of the quaternion and its transpose; one with a large diagonal is well conditioned.
+    skew = [sub(m[j][i], m[i][j]) for i, j in ((1, 2), (2, 0), (0, 1))]
+    rows = [[add(1.0, total(trace)), *skew]]
+    for i in range(3):
+        own = [add(m[i][j], m[j][i]) for j in range(3)]
+        own[i] = add(1.0, sub(mul(2.0, m[i][i]), total(trace)))
+        rows.append([skew[i], *own])
+    best, largest = rows[0], rows[0][0]
+    for k in (1, 2, 3):
+        larger = rows[k][k] > largest
+        best = [jnp.where(larger, x, y) for x, y in zip(rows[k], best, strict=True)]
+        largest = jnp.where(larger, rows[k][k], largest)
+    return scale(0.5 * lax.rsqrt(largest), best)
 
 
 def quaternion_product(p: Sequence[Scalar], q: Sequence[Scalar]) -> list[Scalar]:

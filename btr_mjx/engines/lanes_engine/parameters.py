@@ -21,7 +21,7 @@ from btr_mjx.engines.lanes_engine.contact_parameters import (
     touch_parameters,
 )
 from btr_mjx.engines.lanes_engine.field_access import Fields, apply_matrix, rigid_pose, rigid_root, rotation_matrices
-from btr_mjx.engines.lanes_engine.tree import BALL, FREE, Joint, TreePlan
+from btr_mjx.engines.lanes_engine.tree import BALL, FREE, Closure, Joint, TreePlan
 from btr_mjx.engines.lanes_engine.tree_builder import massive_members, rigid_members
 from btr_mjx.engines.scalars import SIX, Scalar, constant
 
@@ -139,6 +139,31 @@ def _equality(model: mujoco.MjModel, fields: Fields, e: int) -> dict[str, np.nda
     return result
 
 
+def _closure(model: mujoco.MjModel, fields: Fields, closure: Closure) -> dict[str, np.ndarray]:
+    """The frames of both bodies that a constraint joins, in their links, and its weights.
+
+    A weld's data begin with the point of the second body, and the turn between the frames is part of the first's.
+    """
+    weld, data = closure.kind == "weld", fields("eq_data", closure.id)
+    result = constraint_row(fields("eq_solref", closure.id), fields("eq_solimp", closure.id), model)
+    for side, body in enumerate(closure.bodies):
+        position, matrix = rigid_pose(model, fields, body, rigid_root(model, body))
+        if model.eq_objtype[closure.id] == mujoco.mjtObj.mjOBJ_SITE:
+            site = int((model.eq_obj1id, model.eq_obj2id)[side][closure.id])
+            point, turn = fields("site_pos", site), rotation_matrices(fields("site_quat", site))
+        else:
+            first = 3 * (side ^ weld)
+            point = data[..., first : first + 3]
+            turn = rotation_matrices(data[..., 6:10]) if weld and not side else np.eye(3)
+        axes = matrix @ turn
+        result[f"point{side}"] = position + apply_matrix(matrix, point)
+        result[f"axes{side}"] = axes.reshape(*axes.shape[:2], 9)
+    for n, what in enumerate(("scale", "turn_scale")):
+        weights = [fields("body_invweight0", (body, slice(n, n + 1))) for body in closure.bodies]
+        result[what] = 1 / np.maximum(MINVAL, weights[0] + weights[1])
+    return result | {"torquescale": data[..., 10:11]}
+
+
 def _actuator(fields: Fields, a: int) -> dict[str, np.ndarray]:
     return {
         "gain": fields("actuator_gainprm", a)[..., :3],
@@ -217,6 +242,10 @@ def derive(
             [_friction(model, fields, "tendon", slice(t.id, t.id + 1), "_fri") for t in plan.tendons if t.friction],
         ),
         ("equality", [_equality(model, fields, equality.id) for equality in plan.equalities]),
+        *(
+            (kind, [_closure(model, fields, c) for c in plan.closures if c.kind == kind])
+            for kind in ("connect", "weld")
+        ),
     ):
         if rows:
             put(name, rows)

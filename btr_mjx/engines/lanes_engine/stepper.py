@@ -16,6 +16,7 @@ from btr_mjx.engines.guards.watch import crossed
 from btr_mjx.engines.lanes_engine import support
 from btr_mjx.engines.lanes_engine.actuation import actuate, springs, tendon_forces
 from btr_mjx.engines.lanes_engine.constraints.body_contacts import body_contacts, columns
+from btr_mjx.engines.lanes_engine.constraints.closures import closures
 from btr_mjx.engines.lanes_engine.constraints.contacts import contact_points
 from btr_mjx.engines.lanes_engine.constraints.dof_constraints import dof_constraints
 from btr_mjx.engines.lanes_engine.constraints.path_rows import path_rows
@@ -190,6 +191,7 @@ class LanesStepper:
             *contact_points(self.plan, parameters, moving, self._elliptic, self._dtype),
             *between,
             *path_rows(self.plan, self._columns, parameters, q, v, self._dtype),
+            *closures(self.plan, self._columns, parameters, moving, speeds, self._dtype),
         ]
         return found, doubtful
 
@@ -267,9 +269,9 @@ class LanesStepper:
         """The geoms that may meet others than planes, in the world."""
         poses: list[Pose | None] = []
         for owner in self._owners:
-            link = next((link for link in self.plan.links if owner in link.bodies), None)
-            m = moving[link.index] if link else None
-            poses.append((m.rotation, m.position, link.bodies.index(owner)) if link and m else None)
+            place = self.plan.place(owner)
+            m = moving[place[0]] if place else None
+            poses.append((m.rotation, m.position, place[1]) if place and m else None)
         return PlacedGeoms(parameters, poses, lanes, self._dtype)
 
     def qpos(self, state: LanesState) -> jax.Array:

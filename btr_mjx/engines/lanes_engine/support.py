@@ -221,9 +221,9 @@ def _check_tendons(m: mujoco.MjModel) -> Iterator[str]:
 def _check_equalities(m: mujoco.MjModel) -> Iterator[str]:
     kinds = mujoco.mjtEq
     for e in active_equalities(m):
-        if int(m.eq_type[e]) not in (kinds.mjEQ_JOINT, kinds.mjEQ_TENDON):
+        if int(m.eq_type[e]) not in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD, kinds.mjEQ_JOINT, kinds.mjEQ_TENDON):
             where = name(m, mujoco.mjtObj.mjOBJ_EQUALITY, e)
-            yield f"equality constraints other than of joints and fixed tendons ({where})"
+            yield f"equality constraints other than of bodies, joints and fixed tendons ({where})"
 
 
 def _check_size(m: mujoco.MjModel) -> Iterator[str]:

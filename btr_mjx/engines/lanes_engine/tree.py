@@ -6,6 +6,7 @@ nested; inside a group every link has the same G.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import mujoco
 
@@ -118,6 +119,18 @@ class Equality:
 
 
 @dataclass(frozen=True)
+class Closure:
+    """An equality constraint that connects or welds two bodies, which may close a loop."""
+
+    id: int
+    kind: Literal["connect", "weld"]
+    bodies: tuple[int, int]
+    """MuJoCo bodies, 0 for the world."""
+    roots: tuple[int, int]
+    """The bodies with joints, or the world, that these move with."""
+
+
+@dataclass(frozen=True)
 class TreePlan:
     """Static structure of all trees of a model. One dof of the plan stands for `dof_size` dofs of MuJoCo."""
 
@@ -130,6 +143,7 @@ class TreePlan:
     tendons: tuple[Tendon, ...] = ()
     """Fixed tendons that exert forces."""
     equalities: tuple[Equality, ...] = ()
+    closures: tuple[Closure, ...] = ()
 
     @property
     def joints(self) -> list[Joint]:
@@ -141,3 +155,10 @@ class TreePlan:
         """All actuators."""
         own = [actuator for joint in self.joints for actuator in joint.actuators]
         return own + [actuator for tendon in self.tendons for actuator in tendon.actuators]
+
+    def place(self, body: int) -> tuple[int, int] | None:
+        """Index of the link whose joints a MuJoCo body carries, and the member of its group; None for the world."""
+        for link in self.links:
+            if body in link.bodies:
+                return link.index, link.bodies.index(body)
+        return None

@@ -2,14 +2,17 @@
 
 import hashlib
 from collections.abc import Mapping
+from typing import Literal
 
 import mujoco
 import numpy as np
 
+from btr_mjx.engines.lanes_engine.field_access import rigid_root
 from btr_mjx.engines.lanes_engine.tree import (
     FREE,
     WIDTHS,
     Actuator,
+    Closure,
     Equality,
     Joint,
     Link,
@@ -18,6 +21,11 @@ from btr_mjx.engines.lanes_engine.tree import (
     Touch,
     TreePlan,
 )
+
+_JOINS: dict[int, Literal["connect", "weld"]] = {
+    int(mujoco.mjtEq.mjEQ_CONNECT): "connect",
+    int(mujoco.mjtEq.mjEQ_WELD): "weld",
+}
 
 
 def rigid_members(model: mujoco.MjModel, body: int) -> list[int]:
@@ -206,9 +214,12 @@ class _Builder:
     def build(self) -> TreePlan:
         self._descend(-1, (0,))
         tendons = tuple(self._tendon(t) for t in moving_tendons(self.model))
-        equalities = tuple(self._equality(e) for e in active_equalities(self.model))
-        histories = tuple(self.histories)
-        return TreePlan(tuple(self.links), tuple(self.dof_size), self.states, histories, tendons, equalities)
+        active = active_equalities(self.model)
+        joins = {e: kind for e in active if (kind := _JOINS.get(int(self.model.eq_type[e])))}
+        closures = tuple(self._closure(e, kind) for e, kind in joins.items())
+        equalities = tuple(self._equality(e) for e in active if e not in joins)
+        sizes, histories = tuple(self.dof_size), tuple(self.histories)
+        return TreePlan(tuple(self.links), sizes, self.states, histories, tendons, equalities, closures)
 
     def _tendon(self, t: int) -> Tendon:
         m = self.model
@@ -221,6 +232,13 @@ class _Builder:
         m = self.model
         wraps = range(int(m.tendon_adr[t]), int(m.tendon_adr[t] + m.tendon_num[t]))
         return tuple((int(m.wrap_objid[w]), float(m.wrap_prm[w])) for w in wraps)
+
+    def _closure(self, e: int, kind: Literal["connect", "weld"]) -> Closure:
+        m = self.model
+        one, other = int(m.eq_obj1id[e]), int(m.eq_obj2id[e])
+        if m.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE:
+            one, other = int(m.site_bodyid[one]), int(m.site_bodyid[other])
+        return Closure(e, kind, (one, other), (rigid_root(m, one), rigid_root(m, other)))
 
     def _equality(self, e: int) -> Equality:
         m = self.model

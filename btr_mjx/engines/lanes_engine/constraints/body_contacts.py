@@ -77,7 +77,7 @@ def columns(model: mujoco.MjModel, plan: TreePlan) -> list[Column]:
 
 @dataclass(frozen=True)
 class Coupling:
-    """Constraints between links, of one kind: contacts of pairs of one condim, or rows over the coordinates of joints.
+    """Constraints between links, of one kind: contacts of pairs of one condim, closures, or rows over joints.
 
     They are in K slots; empty slots have weight zero.
     """
@@ -85,9 +85,9 @@ class Coupling:
     columns: Sequence[Column]
     """Dofs that move one body of some pair and not the other, or that are in some row."""
     jacobian: Sequence[Vector]
-    """Per row of the cone that is not always zero and per column, (K, C) or (K, 1): for contacts the motion of the
-    second body's contact point relative to the first's in the contact frame, and its rotation, per unit of the dof's
-    velocity (of a free joint in world axes)."""
+    """Per row of the cone that is not always zero and per column, (K, C) or what broadcasts to it: for contacts the
+    motion of the second body's contact point relative to the first's in the contact frame, and its rotation, per unit
+    of the dof's velocity (of a free joint in world axes)."""
     cone: Cone
     """Its normal points from the first to the second body."""
 

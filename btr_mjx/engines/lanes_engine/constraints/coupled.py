@@ -24,6 +24,9 @@ from btr_mjx.engines.scalars import Scalar, add, array, dot, full, is_zero, matv
 
 _MAX_ITERATIONS = 60
 
+_ROUNDINGS = 10
+"""Units of rounding to which the residual falls, relative to the first: errors of a step do not shrink below."""
+
 type _Rows = list[list[jax.Array]]
 """Per coupling, its rows (K, C)."""
 
@@ -43,7 +46,7 @@ def solve_coupled(
     plan = factors.plan
     couplings, linear = [c for c, _ in coupled], [c.cone.linear(model) for c, model in coupled]
     lanes, dtype = like[0].shape[-1], like[0].dtype
-    tolerance = float(jnp.finfo(dtype).eps) ** 2
+    tolerance = (_ROUNDINGS * float(jnp.finfo(dtype).eps)) ** 2
 
     def pulled(rows: Sequence[Sequence[Scalar]]) -> tuple[dict[int, Spatial], dict[int, Scalar]]:
         return member_forces(plan, [w for c, own in zip(couplings, rows, strict=True) for w in c.forces(own)])
@@ -65,13 +68,12 @@ def solve_coupled(
 
     def body(carry: tuple) -> tuple:
         count, going, x, residual, p, rows, image, last, first = carry
-        # The first iteration solves without the stiffness between links, the others correct it.
+        # The first iteration solves without the constraints between links, the others correct it. If it had their
+        # forces at zero acceleration, rounding errors would grow with the square of the stiffness.
         begins = jnp.broadcast_to(count == 0, lanes)
         begin = lambda value: value if is_zero(value) else jnp.where(begins, value, 0)  # noqa: E731
-        pushes = shaped([push for _, push in linear])
-        outer, forces = pulled(
-            [[f + begin(y) for f, y in zip(*own, strict=True)] for own in zip(residual, pushes, strict=True)]
-        )
+        onwards = lambda rows: [[jnp.where(begins, 0, y) for y in own] for own in rows]  # noqa: E731
+        outer, forces = pulled(onwards(residual))
         onto = [([begin(y) for y in force], [begin(y) for y in torque]) for force, torque in wrenches]
         for n, (force, torque) in outer.items():
             onto[n] = vadd(onto[n][0], force), vadd(onto[n][1], torque)
@@ -85,7 +87,7 @@ def solve_coupled(
         going = going & ((count < 2) | (size > tolerance * first))
         back = jnp.where(count <= 1, 0, size / jnp.where(last > 0, last, 1))
         p = [z_k + back * p_k for z_k, p_k in zip(z, p, strict=True)]
-        rows, image = mixed(moved, back, rows), mixed(residual, back, image)
+        rows, image = mixed(moved, back, rows), onwards(mixed(residual, back, image))
         applied = mixed(image, 1.0, stiff(rows))
         curve = inner(rows, applied)
         length = jnp.where(going & (curve > 0), size / jnp.where(curve > 0, curve, 1), 0)
@@ -100,7 +102,8 @@ def solve_coupled(
 
     none, still = jnp.zeros(lanes, dtype), [jnp.zeros_like(g) for g in like]
     empty = shaped([[0.0] * c.rows for c in couplings])
-    carry = (jnp.int32(0), jnp.ones(lanes, bool), still, empty, still, empty, empty, none, none)
+    pushes = shaped([push for _, push in linear])
+    carry = (jnp.int32(0), jnp.ones(lanes, bool), still, pushes, still, empty, empty, none, none)
     found = lax.while_loop(working, body, carry)[2]
     return list(found), propagate(plan, factors.motions, found)
 

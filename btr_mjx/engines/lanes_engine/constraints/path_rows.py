@@ -20,23 +20,22 @@ from btr_mjx.engines.lanes_engine.constraints.dof_constraints import Friction
 from btr_mjx.engines.lanes_engine.kinematics import path_motion
 from btr_mjx.engines.lanes_engine.parameters import Parameters
 from btr_mjx.engines.lanes_engine.tree import Path, TreePlan
-from btr_mjx.engines.scalars import Scalar, Symmetric, Vector, add, array, is_zero, mul, neg, sub
+from btr_mjx.engines.scalars import Scalar, Symmetric, Vector, add, array, is_zero, mul, neg, scale, sub
 
 type _Jacobian = list[dict[int, Scalar]]
 """Per row, the derivative of its length by the coordinates of MuJoCo's joints."""
 
 
-class Bilateral(Frictionless):
-    """A row that pushes and pulls."""
-
-    @property
-    def flags(self) -> int:
-        """See `Cone.flags`."""
-        return 0
+class Bilateral(Cone):
+    """Rows of the same weight that push and pull."""
 
     def model(self, a: Vector) -> ZoneModel:
-        """Weight of the row, which is always active."""
+        """Weight of the rows, which are always active."""
         return (self.weight,)
+
+    def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
+        """See `Cone.linear`."""
+        return [*[model[0]] * 3, 0.0, 0.0, 0.0], scale(model[0], self.reference)
 
 
 @dataclass
