@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.base.motion import BaseMotion, Legs, MeasuredBase, Unit
 from btr_mjx.gap.data.base.residuals import inertia_of, poses
-from btr_mjx.gap.data.base.smoother import PART, Smoothed, smoothed_bases
+from btr_mjx.gap.data.base.smoother import SHIFT_STEP, BaseMotions, smoothed_bases
 from btr_mjx.gap.data.columns.model_columns import imu_columns
 from btr_mjx.gap.data.recordings.noise import DIFFERENCE_ORDER, annihilator, estimate_noise
 from btr_mjx.gap.data.recordings.recording import Recording, StateEstimate
@@ -114,7 +114,7 @@ def sharpened_bases(recordings: Sequence[Recording]) -> list[Recording]:
     ]
 
 
-def _smoothed(sources: Sequence[_Source]) -> tuple[Smoothed, list[Smoothed]]:
+def _smoothed(sources: Sequence[_Source]) -> tuple[BaseMotions, list[BaseMotions]]:
     """The estimate, and what it were if the unit was mounted or timed otherwise."""
     rows = [own.unit for own in sources], [own.legs for own in sources]
     return smoothed_bases(*rows, sources[0].imu.mount, _SHORT)
@@ -130,7 +130,7 @@ def _pose_of(recording: Recording, base: int, sigma: np.ndarray) -> MeasuredBase
     return MeasuredBase(recording.qpos[:, q : q + 3], turn, recording.qvel[:, v : v + 3], noise)
 
 
-def _disagreement(source: _Source, motion: BaseMotion, found: Smoothed) -> float:
+def _disagreement(source: _Source, motion: BaseMotion, found: BaseMotions) -> float:
     """Root mean square of the distance from a measured pose in units of its noise, of the coordinate with the most."""
     unit = source.unit.earlier(found.late)
     inertia = inertia_of(unit, motion, found.mount)
@@ -198,7 +198,7 @@ def _white_noise(time: np.ndarray, values: np.ndarray) -> float:
 
 
 def _filled(
-    recording: Recording, source: _Source, found: Smoothed, shifted: Sequence[Smoothed], index: int
+    recording: Recording, source: _Source, found: BaseMotions, shifted: Sequence[BaseMotions], index: int
 ) -> Recording:
     """A recording with the states of its base, and how well these are known; `index` is its place among all."""
     imu, unit, legs, motion = source.imu, source.unit, source.legs, found.motions[index]
@@ -207,7 +207,7 @@ def _filled(
     own = slice(first, first + 6)
     seen[own], measured[own] = True, True
     (qpos, qvel), *others = (_states(recording, source, one, index) for one in (found, *shifted))
-    shifts = [np.concatenate([difference(model, qpos, q), v - qvel], 1) / PART for q, v in others]
+    shifts = [np.concatenate([difference(model, qpos, q), v - qvel], 1) / SHIFT_STEP for q, v in others]
     # Zeros of encoders displace feet for the whole recording, and all that stands on these.
     height = np.hypot(motion.spread[2], motion.gap.sigma)
     tilt = np.hypot(motion.spread[6:], motion.gap.sigma / legs.arm)
@@ -231,7 +231,7 @@ def _filled(
     )
 
 
-def _states(recording: Recording, source: _Source, found: Smoothed, index: int) -> tuple[np.ndarray, np.ndarray]:
+def _states(recording: Recording, source: _Source, found: BaseMotions, index: int) -> tuple[np.ndarray, np.ndarray]:
     """States (K, nq), (K, nv) of a recording with those of its base."""
     imu, motion, qvel = source.imu, found.motions[index], recording.qvel.copy()
     first = int(recording.model.jnt_dofadr[recording.model.body_jntadr[imu.base]])

@@ -31,7 +31,7 @@ _CREEP, _HELD = 3e-3, 1e-6
 """Delays below this are not told from creep, and taken for none [s]: feet that creep under load move as if the unit was
 1 to 2 ms late or early. Larger ones are whole samples, as rows hold what was read last. Standard deviation of a delay
 that is taken for known [s]."""
-PART = 0.1
+SHIFT_STEP = 0.1
 """Part of a standard deviation for which it is computed what errors of these do."""
 _FIXED = np.repeat([1e4, 0.0, 1e2], 3)
 """Weights that hold the first sample: nothing measures where it is, and an angle about the vertical."""
@@ -44,7 +44,7 @@ _PICKED = 40
 
 
 @dataclass(frozen=True, eq=False)
-class Smoothed:
+class BaseMotions:
     """Motions of a base, and what recordings share: the unit's rotation to the base, and how late it is logged [s]."""
 
     motions: tuple[BaseMotion, ...]
@@ -54,7 +54,7 @@ class Smoothed:
 
 def smoothed_bases(
     units: Sequence[Unit], legs: Sequence[Legs], mount: Rotation, lag: float
-) -> tuple[Smoothed, list[Smoothed]]:
+) -> tuple[BaseMotions, list[BaseMotions]]:
     """Estimate the motion of the base in recordings of one robot.
 
     Args:
@@ -64,14 +64,14 @@ def smoothed_bases(
       lag: time over which `BaseMotion.within` is a change [s].
 
     Returns:
-      The estimate, and what it were if the unit was turned about each axis or later by `PART` of a standard deviation
+      The estimate, and what it were if the unit was turned about each axis or later by `SHIFT_STEP` standard deviations
       (of what is known before), all else at its best.
 
     Raises:
       LinAlgError: measurements of the unit contradict each other.
     """
     motions = tuple(first_estimate(*pair, mount) for pair in zip(units, legs, strict=True))
-    now, systems, covariance = _settled(units, legs, Smoothed(motions, mount, 0.0), mount, LATE)
+    now, systems, covariance = _settled(units, legs, BaseMotions(motions, mount, 0.0), mount, LATE)
     if any(unit.pose is None for unit in units):
         interval = float(np.median(np.diff(units[0].time)))
         late = 0.0 if abs(now.late) < _CREEP else round(now.late / interval) * interval
@@ -80,12 +80,12 @@ def smoothed_bases(
     lags = [max(1, round(lag / float(np.median(np.diff(unit.time))))) for unit in units]
     rows = zip(now.motions, systems, lags, strict=True)
     best = replace(now, motions=tuple(_with_spread(*row, covariance) for row in rows))
-    return best, [_shifted(best, systems, own) for own in PART * np.diag([MOUNT, MOUNT, MOUNT, LATE])]
+    return best, [_shifted(best, systems, own) for own in SHIFT_STEP * np.diag([MOUNT, MOUNT, MOUNT, LATE])]
 
 
 def _settled(
-    units: Sequence[Unit], legs: Sequence[Legs], now: Smoothed, mount: Rotation, late: float
-) -> tuple[Smoothed, list[BlockSystem], np.ndarray]:
+    units: Sequence[Unit], legs: Sequence[Legs], now: BaseMotions, mount: Rotation, late: float
+) -> tuple[BaseMotions, list[BlockSystem], np.ndarray]:
     """Gauss-Newton steps from an estimate until it stays where it is.
 
     Args:
@@ -156,7 +156,7 @@ def _border(system: BlockSystem, common: np.ndarray) -> np.ndarray:
     return np.concatenate([common, -np.linalg.solve(system.information[own, own], pull)])
 
 
-def _moved(now: Smoothed, changes: Sequence[np.ndarray], borders: Sequence[np.ndarray]) -> Smoothed:
+def _moved(now: BaseMotions, changes: Sequence[np.ndarray], borders: Sequence[np.ndarray]) -> BaseMotions:
     """After changes (K, 9) of the states of each recording, and (10,) of what lies beside them."""
     motions = tuple(
         replace(
@@ -169,10 +169,10 @@ def _moved(now: Smoothed, changes: Sequence[np.ndarray], borders: Sequence[np.nd
         for motion, change, border in zip(now.motions, changes, borders, strict=True)
     )
     common = borders[0][:_COMMON]
-    return Smoothed(motions, Rotation.from_rotvec(common[:3]) * now.mount, now.late + float(common[3]))
+    return BaseMotions(motions, Rotation.from_rotvec(common[:3]) * now.mount, now.late + float(common[3]))
 
 
-def _shifted(best: Smoothed, systems: Sequence[BlockSystem], common: np.ndarray) -> Smoothed:
+def _shifted(best: BaseMotions, systems: Sequence[BlockSystem], common: np.ndarray) -> BaseMotions:
     """The estimate if what recordings share was different by `common` (4,)."""
     rest = slice(_COMMON, COMMON)
     borders = [

@@ -12,7 +12,7 @@ from btr_mjx.demo import demo_robot
 from btr_mjx.gap.data.base.block_system import BlockRows, eliminated
 from btr_mjx.gap.data.base.motion import COMMON, BaseMotion, Legs, Unit, first_estimate
 from btr_mjx.gap.data.base.residuals import inertia_of, propagation, scatter_of, tilts, touches
-from btr_mjx.gap.data.base.smoother import LATE, PART, Smoothed, smoothed_bases
+from btr_mjx.gap.data.base.smoother import LATE, SHIFT_STEP, BaseMotions, smoothed_bases
 from btr_mjx.gap.data.base.touching import touching_points
 
 ROBOT, RATE = demo_robot("quadruped"), 200
@@ -88,7 +88,7 @@ def late(unit: Unit, rows: int) -> Unit:
     )
 
 
-def states(found: Smoothed) -> np.ndarray:
+def states(found: BaseMotions) -> np.ndarray:
     """(K, 6) velocities and angles of the first recording."""
     (motion,) = found.motions
     return np.concatenate([motion.velocity, motion.turn.as_rotvec()], 1)
@@ -103,7 +103,7 @@ def test_unit_that_is_logged_late_is_moved_onto_the_clock_of_the_encoders(walk, 
     assert np.sqrt(((states(found) - states(sound))[rows] ** 2).mean(0)).max() < 5e-3
     # What a wrong time does to the states is known: that is how those differ of a unit whose delay is not looked for.
     monkeypatch.setattr("btr_mjx.gap.data.base.smoother._CREEP", 1.0)
-    other, _ = smoothed_bases([delayed.earlier(found.late - PART * LATE)], [legs], Rotation.identity(), 0.02)
+    other, _ = smoothed_bases([delayed.earlier(found.late - SHIFT_STEP * LATE)], [legs], Rotation.identity(), 0.02)
     change = (states(shifted[3]) - states(found))[rows].ravel()
     apart = (states(found) - states(other))[rows].ravel()
     assert np.corrcoef(change, apart)[0, 1] > 0.9
