@@ -66,6 +66,8 @@ class Config:
     """Data in which the missing effect is sought."""
     iterations: int = 2
     """Iterations of Back-to-Reality."""
+    first_population: Literal["random", "mutants"] = "random"
+    """Controllers with which the search of iteration 1 begins."""
     out: Path = Path("runs/growth")
     """Folder of the cases."""
     json: Path | None = None
@@ -84,6 +86,7 @@ def case(config: Config, name: str, seed: int, grow: bool) -> dict[str, Any]:
         iterations=config.iterations,
         grow=grow,
         grow_from=config.grow_from,
+        first_population=config.first_population,
         seed=seed,
     )
     problem = build_problem(settings)
