@@ -209,13 +209,6 @@ class Windows:
         """Whitened differences (W, R) between states of windows `own` and their data."""
         return self.scaled(self.minus(states, np.concatenate([self.target_q[own], self.target_v[own]], -1)))
 
-    def shifts(self) -> np.ndarray:
-        """(n, W, R) changes of the residual by errors that all estimated states share, see `StateEstimate`."""
-        known = [self.data.recordings[r].estimate for r in self.recording]
-        index = self.first[:, None] + np.arange(self.k + 1)
-        rows = [one.shifts[:, i] for one, i in zip(known, index, strict=True) if one is not None]
-        return project(-self.scaled(np.stack(rows, 1)), self.basis) if rows else np.zeros((0, *self.correction.shape))
-
     def minus(self, states: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Difference of states (..., nq + nv) in the tangent space (..., 2 nv)."""
         model, nq = self.groups[0][0], self.nq

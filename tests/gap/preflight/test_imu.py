@@ -110,8 +110,7 @@ def test_a_pose_that_was_estimated_is_no_measurement(right: Columns) -> None:
     data = dataset(times({n: v for n, v in right.items() if n not in ORIENTATION}, ACCELEROMETER, -1.0))
     (one,) = data.recordings
     sigma = np.r_[np.full(6, 1e-3), np.full(one.model.nv - 6, np.nan)]
-    shifts = np.zeros((0, len(one.time), 2 * len(sigma)))
-    estimated = replace(one, estimate=StateEstimate(*np.tile(sigma, (2, 2)), shifts))
+    estimated = replace(one, estimate=StateEstimate(np.tile(sigma, 2), np.tile(sigma, 2)))
     (finding,) = imu_conventions(replace(data, recordings=(estimated,)))
     assert finding.level == "error"
     assert "of the model at its start" in finding.message

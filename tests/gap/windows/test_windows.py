@@ -321,11 +321,7 @@ def test_errors_of_estimates_that_last_are_no_residual():
 
     def windows(off):
         shifted = [
-            replace(
-                r,
-                estimate=StateEstimate(0.1 * known, known, np.zeros((0, len(r.time), 4))),
-                qpos=r.qpos + np.array([off, 0.0]),
-            )
+            replace(r, estimate=StateEstimate(0.1 * known, known), qpos=r.qpos + np.array([off, 0.0]))
             for r in recordings
         ]
         return Windows(prepare(shifted, "cubic", SIGMA, Span(5, 6)), np.array([0, 1]), np.array([20, 40]), 8)

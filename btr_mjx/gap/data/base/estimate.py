@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.base.motion import BaseMotion, Legs, MeasuredBase, Unit
 from btr_mjx.gap.data.base.residuals import inertia_of, poses
-from btr_mjx.gap.data.base.smoother import SHIFT_STEP, BaseMotions, smoothed_bases
+from btr_mjx.gap.data.base.smoother import BaseMotions, smoothed_bases
 from btr_mjx.gap.data.columns.model_columns import imu_columns
 from btr_mjx.gap.data.recordings.noise import DIFFERENCE_ORDER, annihilator, estimate_noise
 from btr_mjx.gap.data.recordings.recording import Recording, StateEstimate
-from btr_mjx.models import difference, part_names
+from btr_mjx.models import part_names
 
 _AGREES = 2.0
 """Largest distance of a pose from what the unit says, in units of the pose's noise."""
@@ -76,7 +76,7 @@ def estimate_bases(recordings: Sequence[Recording], notes: list[str]) -> list[Re
                 "the model the ground on which the robot stood"
             )
     sources = [_source(one, _hidden_base(one)) for one in recordings]
-    found, shifted = _smoothed(sources)
+    found = _smoothed(sources)
     mount, late = sources[0].imu.mount, found.late
     speed = float(np.median([motion.spread[3:6].max() for motion in found.motions]))
     turned = np.degrees(np.linalg.norm((found.mount * mount.inv()).as_rotvec()))
@@ -89,9 +89,8 @@ def estimate_bases(recordings: Sequence[Recording], notes: list[str]) -> list[Re
             else ""
         )
     )
-    return [
-        _filled(one, source, found, shifted, i) for i, (one, source) in enumerate(zip(recordings, sources, strict=True))
-    ]
+    rows = zip(recordings, sources, found.motions, strict=True)
+    return [_filled(*row, found.mount, found.late) for row in rows]
 
 
 def sharpened_bases(recordings: Sequence[Recording]) -> list[Recording]:
@@ -105,17 +104,15 @@ def sharpened_bases(recordings: Sequence[Recording]) -> list[Recording]:
     if not whole or any(one.estimate or not imu_columns(names, model, int(free[0])) for one in recordings):
         return list(recordings)
     sources = [_source(one, base) for one in recordings]
-    found, shifted = _smoothed(sources)
+    found = _smoothed(sources)
     apart = [_disagreement(own, motion, found) for own, motion in zip(sources, found.motions, strict=True)]
     if np.median(apart) > _AGREES:
         return list(recordings)
-    return [
-        _filled(one, source, found, shifted, i) for i, (one, source) in enumerate(zip(recordings, sources, strict=True))
-    ]
+    rows = zip(recordings, sources, found.motions, strict=True)
+    return [_filled(*row, found.mount, found.late) for row in rows]
 
 
-def _smoothed(sources: Sequence[_Source]) -> tuple[BaseMotions, list[BaseMotions]]:
-    """The estimate, and what it were if the unit was mounted or timed otherwise."""
+def _smoothed(sources: Sequence[_Source]) -> BaseMotions:
     rows = [own.unit for own in sources], [own.legs for own in sources]
     return smoothed_bases(*rows, sources[0].imu.mount, _SHORT)
 
@@ -197,24 +194,22 @@ def _white_noise(time: np.ndarray, values: np.ndarray) -> float:
     return max(float(np.median(np.abs(left))) / 0.6745, 1e-6)
 
 
-def _filled(
-    recording: Recording, source: _Source, found: BaseMotions, shifted: Sequence[BaseMotions], index: int
-) -> Recording:
-    """A recording with the states of its base, and how well these are known; `index` is its place among all."""
-    imu, unit, legs, motion = source.imu, source.unit, source.legs, found.motions[index]
+def _filled(recording: Recording, source: _Source, motion: BaseMotion, mount: Rotation, late: float) -> Recording:
+    """A recording with the states of its base, and how well these are known."""
+    imu, unit, legs = source.imu, source.unit.earlier(late), source.legs
     model, seen, measured = recording.model, recording.seen.copy(), recording.qvel_measured.copy()
     first = int(model.jnt_dofadr[model.body_jntadr[imu.base]])
     own = slice(first, first + 6)
-    seen[own], measured[own] = True, True
-    (qpos, qvel), *others = (_states(recording, source, one, index) for one in (found, *shifted))
-    shifts = [np.concatenate([difference(model, qpos, q), v - qvel], 1) / SHIFT_STEP for q, v in others]
+    spin, qvel = mount.apply(unit.gyro - motion.biases[:3]), recording.qvel.copy()
+    velocity = motion.velocity - motion.turn.apply(np.cross(spin, imu.place))
+    qvel[:, own], seen[own], measured[own] = np.concatenate([velocity, spin], axis=1), True, True
     # Zeros of encoders displace feet for the whole recording, and all that stands on these.
     height = np.hypot(motion.spread[2], motion.gap.sigma)
     tilt = np.hypot(motion.spread[6:], motion.gap.sigma / legs.arm)
     # A unit whose direction is known to that much only mixes the axes of what changes.
     turned = float(np.linalg.norm(tilt) / np.sqrt(3))
     force = unit.accelerometer - unit.accelerometer.mean(0)
-    rate, push = (turned * float(np.median(np.linalg.norm(v, axis=1))) for v in (unit.gyro - motion.biases[:3], force))
+    rate, push = (turned * float(np.median(np.linalg.norm(v, axis=1))) for v in (spin, force))
     within = np.hypot(motion.within, np.repeat([0.0, push * _SHORT, rate * _SHORT], 3))
     spins = np.full(3, np.hypot(unit.noise[0], rate))
     sigma, spread = np.full((2, 2 * model.nv), np.nan)
@@ -223,19 +218,9 @@ def _filled(
     spread[both] = [height, height, height, *tilt, *motion.spread[3:6], *spins]
     return replace(
         recording,
-        qpos=qpos,
+        qpos=legs.posed(motion.place, motion.turn),
         qvel=qvel,
         qpos_measured=seen,
         qvel_measured=measured,
-        estimate=StateEstimate(sigma, spread, np.stack(shifts)),
+        estimate=StateEstimate(sigma, spread),
     )
-
-
-def _states(recording: Recording, source: _Source, found: BaseMotions, index: int) -> tuple[np.ndarray, np.ndarray]:
-    """States (K, nq), (K, nv) of a recording with those of its base."""
-    imu, motion, qvel = source.imu, found.motions[index], recording.qvel.copy()
-    first = int(recording.model.jnt_dofadr[recording.model.body_jntadr[imu.base]])
-    spin = found.mount.apply(source.unit.earlier(found.late).gyro - motion.biases[:3])
-    velocity = motion.velocity - motion.turn.apply(np.cross(spin, imu.place))
-    qvel[:, first : first + 6] = np.concatenate([velocity, spin], axis=1)
-    return source.legs.posed(motion.place, motion.turn), qvel

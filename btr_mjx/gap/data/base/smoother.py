@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from btr_mjx.gap.data.base.block_system import BlockSystem, eliminated
-from btr_mjx.gap.data.base.motion import COMMON, BaseMotion, Legs, N, Unit, first_estimate
+from btr_mjx.gap.data.base.motion import COMMON, BaseMotion, Legs, Unit, first_estimate
 from btr_mjx.gap.data.base.residuals import inertia_of, poses, propagation, tilts, touches
 from btr_mjx.gap.data.base.touching import Touching
 
@@ -31,8 +31,6 @@ _CREEP, _HELD = 3e-3, 1e-6
 """Delays below this are not told from creep, and taken for none [s]: feet that creep under load move as if the unit was
 1 to 2 ms late or early. Larger ones are whole samples, as rows hold what was read last. Standard deviation of a delay
 that is taken for known [s]."""
-SHIFT_STEP = 0.1
-"""Part of a standard deviation for which it is computed what errors of these do."""
 _FIXED = np.repeat([1e4, 0.0, 1e2], 3)
 """Weights that hold the first sample: nothing measures where it is, and an angle about the vertical."""
 _STEPS, _CONVERGED = 20, 2e-3
@@ -52,9 +50,7 @@ class BaseMotions:
     late: float
 
 
-def smoothed_bases(
-    units: Sequence[Unit], legs: Sequence[Legs], mount: Rotation, lag: float
-) -> tuple[BaseMotions, list[BaseMotions]]:
+def smoothed_bases(units: Sequence[Unit], legs: Sequence[Legs], mount: Rotation, lag: float) -> BaseMotions:
     """Estimate the motion of the base in recordings of one robot.
 
     Args:
@@ -62,10 +58,6 @@ def smoothed_bases(
       legs: of each recording.
       mount: rotation from the unit's frame to the base's, as the model has it.
       lag: time over which `BaseMotion.within` is a change [s].
-
-    Returns:
-      The estimate, and what it were if the unit was turned about each axis or later by `SHIFT_STEP` standard deviations
-      (of what is known before), all else at its best.
 
     Raises:
       LinAlgError: measurements of the unit contradict each other.
@@ -79,8 +71,7 @@ def smoothed_bases(
         now = replace(now, late=late)
     lags = [max(1, round(lag / float(np.median(np.diff(unit.time))))) for unit in units]
     rows = zip(now.motions, systems, lags, strict=True)
-    best = replace(now, motions=tuple(_with_spread(*row, covariance) for row in rows))
-    return best, [_shifted(best, systems, own) for own in SHIFT_STEP * np.diag([MOUNT, MOUNT, MOUNT, LATE])]
+    return replace(now, motions=tuple(_with_spread(*row, covariance) for row in rows))
 
 
 def _settled(
@@ -170,19 +161,6 @@ def _moved(now: BaseMotions, changes: Sequence[np.ndarray], borders: Sequence[np
     )
     common = borders[0][:_COMMON]
     return BaseMotions(motions, Rotation.from_rotvec(common[:3]) * now.mount, now.late + float(common[3]))
-
-
-def _shifted(best: BaseMotions, systems: Sequence[BlockSystem], common: np.ndarray) -> BaseMotions:
-    """The estimate if what recordings share was different by `common` (4,)."""
-    rest = slice(_COMMON, COMMON)
-    borders = [
-        np.concatenate(
-            [common, -np.linalg.solve(one.information[rest, rest], one.information[rest, :_COMMON] @ common)]
-        )
-        for one in systems
-    ]
-    changes = [-(one.across @ border).reshape(-1, N) for one, border in zip(systems, borders, strict=True)]
-    return _moved(best, changes, borders)
 
 
 def _with_spread(motion: BaseMotion, system: BlockSystem, lag: int, common: np.ndarray) -> BaseMotion:

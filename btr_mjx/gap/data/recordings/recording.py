@@ -42,12 +42,10 @@ class StateEstimate:
     Attributes:
       sigma: (2 nv,) standard deviation of positions and velocities within a short time; errors that stay left out.
       spread: (2 nv,) of all errors.
-      shifts: (n, K, 2 nv) what errors that all recordings share do to the states, by their standard deviations.
     """
 
     sigma: np.ndarray
     spread: np.ndarray
-    shifts: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +115,6 @@ class Recording:
 
     def part(self, rows: slice | np.ndarray, split: Split, name: str) -> "Recording":
         """A part of the recording, as a recording with another name and split."""
-        estimate = self.estimate and replace(self.estimate, shifts=self.estimate.shifts[:, rows])
         return replace(
             self,
             name=name,
@@ -125,7 +122,6 @@ class Recording:
             **{key: getattr(self, key)[rows] for key in ("time", "ctrl", "qpos", "qvel")},
             force={key: value[rows] for key, value in self.force.items()},
             sensor={key: value[rows] for key, value in self.sensor.items()},
-            estimate=estimate,
         )
 
 

@@ -207,8 +207,7 @@ def nuisances(
 ) -> Nuisance:
     """Tolerances with their Gaussian priors, and what may be refitted with a wide one.
 
-    Tolerances are those of single places, of the time of all commands, of the time step that data have, and of how an
-    inertial unit is mounted and timed, from which states were estimated.
+    Tolerances are those of single places, of the time of all commands, and of the time step that data have.
 
     Args:
       windows: linearised around `base`.
@@ -223,9 +222,6 @@ def nuisances(
         if tolerance > 0:
             columns.append(screened.signature(index)[0] * np.float32(tolerance / entry.steps[0]))
             precision.append(1.0)
-    for shift in windows.shifts():
-        columns.append(shift.astype(np.float32))
-        precision.append(1.0)
     if base.parameters:
         steps = believed_steps(base.parameters, base.believed)
         makes = [

@@ -12,7 +12,7 @@ from btr_mjx.demo import demo_robot
 from btr_mjx.gap.data.base.block_system import BlockRows, eliminated
 from btr_mjx.gap.data.base.motion import COMMON, BaseMotion, Legs, Unit, first_estimate
 from btr_mjx.gap.data.base.residuals import inertia_of, propagation, scatter_of, tilts, touches
-from btr_mjx.gap.data.base.smoother import LATE, SHIFT_STEP, BaseMotions, smoothed_bases
+from btr_mjx.gap.data.base.smoother import BaseMotions, smoothed_bases
 from btr_mjx.gap.data.base.touching import touching_points
 
 ROBOT, RATE = demo_robot("quadruped"), 200
@@ -58,7 +58,7 @@ def measured(walk, orientation: bool = True) -> tuple[Unit, Legs, Mount]:
 @pytest.mark.parametrize("orientation", [True, False])
 def test_base_is_found_from_inertial_unit_and_feet(walk, orientation):
     unit, legs, mount = measured(walk, orientation)
-    found, _ = smoothed_bases([unit], [legs], Rotation.identity(), 0.02)
+    found = smoothed_bases([unit], [legs], Rotation.identity(), 0.02)
     (motion,) = found.motions
     truth_q, truth_v = walk[1][1::2], walk[2][1::2]
     turn = Rotation.from_quat(truth_q[:, 3:7], scalar_first=True)
@@ -94,20 +94,13 @@ def states(found: BaseMotions) -> np.ndarray:
     return np.concatenate([motion.velocity, motion.turn.as_rotvec()], 1)
 
 
-def test_unit_that_is_logged_late_is_moved_onto_the_clock_of_the_encoders(walk, monkeypatch):
+def test_unit_that_is_logged_late_is_moved_onto_the_clock_of_the_encoders(walk):
     unit, legs, _ = measured(walk)
     delayed, rows = late(unit, 2), slice(10, -10)
-    sound, _ = smoothed_bases([unit], [legs], Rotation.identity(), 0.02)
-    found, shifted = smoothed_bases([delayed], [legs], Rotation.identity(), 0.02)
+    sound = smoothed_bases([unit], [legs], Rotation.identity(), 0.02)
+    found = smoothed_bases([delayed], [legs], Rotation.identity(), 0.02)
     assert found.late == pytest.approx(2 / RATE)
     assert np.sqrt(((states(found) - states(sound))[rows] ** 2).mean(0)).max() < 5e-3
-    # What a wrong time does to the states is known: that is how those differ of a unit whose delay is not looked for.
-    monkeypatch.setattr("btr_mjx.gap.data.base.smoother._CREEP", 1.0)
-    other, _ = smoothed_bases([delayed.earlier(found.late - SHIFT_STEP * LATE)], [legs], Rotation.identity(), 0.02)
-    change = (states(shifted[3]) - states(found))[rows].ravel()
-    apart = (states(found) - states(other))[rows].ravel()
-    assert np.corrcoef(change, apart)[0, 1] > 0.9
-    assert change @ apart / (change @ change) == pytest.approx(1.0, abs=0.2)
 
 
 def test_block_system_is_the_dense_least_squares_solution():
