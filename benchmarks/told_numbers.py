@@ -51,6 +51,8 @@ class Config:
     """Relative standard deviation of a measured fitness."""
     choose: Literal["best", "informative"] = "best"
     """Which controllers are tried."""
+    first_population: Literal["random", "mutants"] = "random"
+    """Controllers with which the search of iteration 1 begins."""
     out: Path = Path("runs/told_numbers")
     """Folder of the cases."""
     json: Path | None = None
@@ -83,6 +85,7 @@ def case(config: Config, seed: int) -> dict[str, Any]:
         iterations=config.iterations,
         noise=config.noise,
         choose=config.choose,
+        first_population=config.first_population,
         seed=seed,
     )
     problem = build_problem(settings)

@@ -59,6 +59,9 @@ def smoothed_bases(units: Sequence[Unit], legs: Sequence[Legs], mount: Rotation,
       mount: rotation from the unit's frame to the base's, as the model has it.
       lag: time over which `BaseMotion.within` is a change [s].
 
+    Returns:
+      The motions, with their spread, and what recordings share. Without a pose the delay is none or whole samples.
+
     Raises:
       LinAlgError: measurements of the unit contradict each other.
     """
