@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from lanes_models import FAST, QUICK, WATER, mjcf
+from lanes_models import FAST, QUICK, WATER, columns, mjcf
 
 from btr_mjx import lanes
 from btr_mjx.engines import LanesStepper, UnsupportedModel
@@ -66,10 +66,6 @@ def random_states(model: mujoco.MjModel, count: int, rng: np.random.Generator) -
         data.qvel[:] = 2 * rng.normal(size=model.nv)
         found.append(data)
     return found
-
-
-def columns(states: list[mujoco.MjData], *names: str) -> list[np.ndarray]:
-    return [np.stack([getattr(d, name) for d in states], axis=1) for name in names]
 
 
 @pytest.mark.parametrize("case", CASES)

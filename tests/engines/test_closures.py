@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from lanes_models import FAST, QUICK, chain, mjcf, quadruped
+from lanes_models import FAST, QUICK, chain, columns, exact, mjcf, quadruped, relative_error
 
 from btr_mjx import lanes
 from btr_mjx.engines import LanesStepper
@@ -81,19 +81,6 @@ def scattered(model: mujoco.MjModel, count: int, rng: np.random.Generator) -> li
         data.qvel[:] = rng.normal(size=model.nv) * 10 ** rng.uniform(-4, 1)
         found.append(data)
     return found
-
-
-def columns(states: list[mujoco.MjData], *names: str) -> list[np.ndarray]:
-    return [np.stack([getattr(d, name) for d in states], axis=1) for name in names]
-
-
-def exact(model: mujoco.MjModel) -> mujoco.MjModel:
-    model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = 100, 100, 0
-    return model
-
-
-def relative_error(found: np.ndarray, expected: np.ndarray) -> float:
-    return float((np.linalg.norm(found - expected, axis=0) / np.linalg.norm(expected, axis=0).clip(1e-3)).max())
 
 
 def stepped(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from lanes_models import FAST, QUICK, chain, mjcf, quadruped, tangle
+from lanes_models import FAST, QUICK, chain, columns, exact, mjcf, quadruped, relative_error, tangle
 
 from btr_mjx import lanes
 from btr_mjx.engines import LanesStepper, UnsupportedModel
@@ -77,19 +77,6 @@ def scattered(model: mujoco.MjModel, count: int, rng: np.random.Generator) -> li
         data.ctrl[:], data.act[:] = rng.uniform(-1, 1, model.nu), 0.3 * rng.normal(size=model.na)
         found.append(data)
     return found
-
-
-def columns(states: list[mujoco.MjData], *names: str) -> list[np.ndarray]:
-    return [np.stack([getattr(d, name) for d in states], axis=1) for name in names]
-
-
-def exact(model: mujoco.MjModel) -> mujoco.MjModel:
-    model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = 100, 100, 0
-    return model
-
-
-def relative_error(found: np.ndarray, expected: np.ndarray) -> float:
-    return float((np.linalg.norm(found - expected, axis=0) / np.linalg.norm(expected, axis=0).clip(1e-3)).max())
 
 
 @pytest.mark.parametrize("case", CASES)

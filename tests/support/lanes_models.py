@@ -1,4 +1,7 @@
-"""Small models for the lanes engine's tests: each exercises other joints, contacts, actuators and options."""
+"""Small models for the lanes engine's tests, of all joints, contacts, actuators and options; and comparisons."""
+
+import mujoco
+import numpy as np
 
 QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 """Options with which a program that runs once compiles in a fraction of the time; its bits are not those of users."""
@@ -208,3 +211,19 @@ CASES = {
     "spheres_box_in_water_rk4": mjcf(spheres_box(), option=f'integrator="RK4" cone="elliptic" {WATER}'),
     "pendulum_rk4": mjcf(chain(4), option='integrator="RK4"', actuators='<motor joint="p0" gear="3"/>'),
 }
+
+
+def columns(states: list[mujoco.MjData], *names: str) -> list[np.ndarray]:
+    """Fields of some states, one state a column: (width, count) each."""
+    return [np.stack([getattr(d, name) for d in states], axis=1) for name in names]
+
+
+def exact(model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model with a solver that goes on until it is exact."""
+    model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = 100, 100, 0
+    return model
+
+
+def relative_error(found: np.ndarray, expected: np.ndarray) -> float:
+    """Largest distance of a column from what is expected, relative to its size."""
+    return float((np.linalg.norm(found - expected, axis=0) / np.linalg.norm(expected, axis=0).clip(1e-3)).max())
