@@ -25,7 +25,7 @@ SHAPES = {
 }
 ZOO = f"""<mujoco><asset><mesh name="wedge" vertex="0 0 0 .1 0 0 0 .12 0 0 0 .08 .05 .05 .1"/>
 <hfield name="hills" nrow="3" ncol="3" size="0.3 0.3 0.05 0.02" elevation="0 1 0 1 0 1 0 1 0"/></asset><worldbody>
-<geom name="slope" type="plane" size="1 1 1" pos="0 0 -0.2" zaxis="0.1 0 1"/>
+<body mocap="true"><geom name="slope" type="plane" size="1 1 1" pos="0 0 -0.2" zaxis="0.1 0 1"/></body>
 <geom type="hfield" hfield="hills" pos="0 0 -0.25"/>
 <geom name="step" type="box" size=".1 .1 .02" pos=".2 0 0" euler="10 20 30"/>
 {"".join(f'<body name="{n}"><freejoint/><geom name="{n}" mass="0.1" {g}/></body>' for n, g in SHAPES.items())}
@@ -119,7 +119,7 @@ def test_sizes_and_places_may_differ_between_worlds(rng: np.random.Generator) ->
     model = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody>"
         + "".join(f'<body><freejoint/><geom name="{n}" type="capsule" size="0.03 0.1" mass="1"/></body>' for n in "ab")
-        + '</worldbody><contact><pair geom1="a" geom2="b"/></contact></mujoco>'  # explicit pairs are guarded
+        + '</worldbody><contact><pair geom1="a" geom2="b" solreffriction="0.02 1"/></contact></mujoco>'
     )
     count = 1500
     varied = {name: np.repeat(np.asarray(getattr(model, name), float)[None], count, 0) for name in ("geom_size",)}

@@ -36,11 +36,15 @@ def geom_pairs(model: mujoco.MjModel) -> Iterator[GeomPair]:
         for p, (g1, g2) in enumerate(zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True))
     }
     excluded = {int(s) for s in np.asarray(model.exclude_signature)}
-    flat = [kind in (PLANE, HFIELD) for kind in model.geom_type]
+    flat, weld = [kind in (PLANE, HFIELD) for kind in model.geom_type], model.body_weldid[model.geom_bodyid].tolist()
     for g1 in range(model.ngeom):
         for g2 in range(g1 + 1, model.ngeom):
             explicit = named.get((g1, g2), -1)
-            if (flat[g1] and flat[g2]) or (explicit < 0 and not _passes_filters(model, g1, g2, excluded)):
+            if (
+                weld[g1] == weld[g2]
+                or (flat[g1] and flat[g2])
+                or (explicit < 0 and not _passes_filters(model, g1, g2, excluded))
+            ):
                 continue
             yield GeomPair(g2, g1, explicit) if model.geom_type[g2] == PLANE else GeomPair(g1, g2, explicit)
 
@@ -50,7 +54,7 @@ def _passes_filters(m: mujoco.MjModel, g1: int, g2: int, excluded: set[int]) -> 
     affine = (m.geom_contype[g1] & m.geom_conaffinity[g2]) or (m.geom_contype[g2] & m.geom_conaffinity[g1])
     b1, b2 = int(m.geom_bodyid[g1]), int(m.geom_bodyid[g2])
     w1, w2 = int(m.body_weldid[b1]), int(m.body_weldid[b2])
-    if not affine or w1 == w2:
+    if not affine:
         return False
     if (min(b1, b2) << 16) + max(b1, b2) in excluded:
         return False
@@ -93,8 +97,16 @@ def bounding_box(model: mujoco.MjModel, geom: int) -> np.ndarray:
     return box
 
 
-def mixed_condim(model: mujoco.MjModel, pair: GeomPair) -> int:
-    """The condim of a contact of two geoms that no <pair> element names (mj_contactParam)."""
+def explicit_pairs(model: mujoco.MjModel, g1: int, g2: int) -> list[int]:
+    """Numbers of the <pair> elements that name two geoms."""
+    one, other = model.pair_geom1, model.pair_geom2
+    return np.flatnonzero(((one == g1) & (other == g2)) | ((one == g2) & (other == g1))).tolist()
+
+
+def contact_condim(model: mujoco.MjModel, pair: GeomPair) -> int:
+    """The condim of a contact of two geoms (mj_contactParam)."""
+    if pair.explicit >= 0:
+        return int(model.pair_dim[pair.explicit])
     dims, ranks = (
         [int(field[g]) for g in (pair.first, pair.second)] for field in (model.geom_condim, model.geom_priority)
     )
@@ -118,14 +130,14 @@ def group_by_kinds(model: mujoco.MjModel, pairs: Sequence[GeomPair], geoms: Sequ
 
 
 def group_by_condim(model: mujoco.MjModel, pairs: Sequence[GeomPair], geoms: Sequence[int]) -> list[PairGroup]:
-    """Sort pairs of spheres and capsules, which no <pair> element names, into groups of the same condim.
+    """Sort pairs of spheres and capsules into groups of the same condim.
 
     A sphere counts as a capsule without length. The groups refer to positions in the list of all their geoms.
     """
     groups: dict[int, list[tuple[int, int]]] = {}
     place = {geom: k for k, geom in enumerate(geoms)}
     for pair in pairs:
-        groups.setdefault(mixed_condim(model, pair), []).append((place[pair.first], place[pair.second]))
+        groups.setdefault(contact_condim(model, pair), []).append((place[pair.first], place[pair.second]))
     found = []
     for condim, alike in sorted(groups.items()):
         first, second = zip(*alike, strict=True)

@@ -94,7 +94,7 @@ class LanesStepper:
         self.geoms = tuple(sorted({g for pair in (*guarded, *contacts.between) for g in (pair.first, pair.second)}))
         self.guards = group_by_kinds(model, guarded, self.geoms)
         self.between = group_by_condim(model, contacts.between, self.geoms)
-        self._masks = self._read_masks(varying)
+        self._masks = self._read_masks(varying, contacts)
         enabled = has_constraints(model, "FRICTIONLOSS")
         friction = (
             enabled & ((base_field(model, name) != 0) | self._masks.get(name, False))
@@ -111,12 +111,16 @@ class LanesStepper:
         sample = {key: [np.asarray(column[0], self._dtype) for column in columns] for key, columns in arrays.items()}
         jax.eval_shape(self._record_zone_layout, sample)
 
-    def _read_masks(self, varying: Iterable[str] | Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def _read_masks(
+        self, varying: Iterable[str] | Mapping[str, np.ndarray], contacts: support.Contacts
+    ) -> dict[str, np.ndarray]:
         """Field name -> bool array of the field's shape."""
         masks = {}
+        shaped = self.geoms or any(self._model.geom_type[geom] == support.MESH for geom in contacts.computed)
+        shapes = ("pair_", *(("mesh_vert", "hfield_") if shaped else ()))
         for name in sorted(varying):
-            if self.guards and name.startswith(("mesh_vert", "hfield_", "pair_")):
-                raise support.refuse(f"a field {name!r} of guarded contacts that differs between worlds")
+            if name.startswith(shapes):
+                raise support.refuse(f"a field {name!r} of contacts that differs between worlds")
             if not influences_motion(name):
                 continue
             if name not in VARYING:
@@ -188,7 +192,7 @@ class LanesStepper:
         )
         found: list[Constraint] = [
             *dof_constraints(self.plan, parameters, q, speeds),
-            *contact_points(self.plan, parameters, moving, self._elliptic, self._dtype),
+            *contact_points(self._model, self.plan, parameters, moving, self._elliptic, self._dtype),
             *between,
             *path_rows(self.plan, self._columns, parameters, q, v, self._dtype),
             *closures(self.plan, self._columns, parameters, moving, speeds, self._dtype),
