@@ -62,6 +62,7 @@ def tripping(model: mujoco.MjModel) -> tuple[Callable[[np.ndarray], np.ndarray],
     )
     geoms = stepper.geoms
     pairs = {(geoms[i], geoms[j]) for group in stepper.guards for i, j in zip(group.first, group.second, strict=True)}
+    pairs |= {(geoms[pair.first], geoms[pair.second]) for pair in stepper.meshes}
     return jax.jit(crossed, compiler_options=QUICK), pairs
 
 
@@ -98,6 +99,23 @@ def test_bounds_of_primitive_shapes_are_tight(rng: np.random.Generator) -> None:
     assert len(pairs) == 12  # those of spheres and capsules are computed
     assert not (touching & ~marked).any()
     assert (marked & ~touching).sum() < 0.02 * (~touching).sum()
+
+
+def test_hulls_of_meshes_are_told_apart_where_their_boxes_overlap(rng: np.random.Generator) -> None:
+    stones = [rng.normal(size=(n, 3)) * size for n, size in ((30, [0.1, 0.2, 0.05]), (12, [0.05, 0.05, 0.3]))]
+    assets = "".join(
+        f'<mesh name="stone{i}" vertex="{" ".join(map(str, stone.ravel()))}"/>' for i, stone in enumerate(stones)
+    )
+    bodies = "".join(f'<body><freejoint/><geom type="mesh" mesh="stone{i}"/></body>' for i in range(2))
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><asset>{assets}</asset><worldbody>{bodies}</worldbody></mujoco>")
+    with jax.enable_x64(True):
+        crossed, pairs = tripping(model)
+        assert len(pairs) == 1
+        qpos = scattered(model, 1000, rng)
+        marked, touching = np.asarray(crossed(qpos)), guarded_contacts(model, qpos, pairs)
+    assert 50 < touching.sum() < 950
+    assert not (touching & ~marked).any()
+    assert (marked & ~touching).sum() < 0.05 * (~touching).sum()
 
 
 def test_a_height_field_is_as_high_as_its_highest_point() -> None:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.engines.base import Leaves
+from btr_mjx.engines.guards.hulls import near_meshes
 from btr_mjx.engines.guards.pairs import group_by_condim, group_by_kinds
 from btr_mjx.engines.guards.placed_geoms import PlacedGeoms, Pose
 from btr_mjx.engines.guards.watch import crossed
@@ -92,7 +93,8 @@ class LanesStepper:
         contacts = support.require_supported(model, guards)
         guarded = [guarded.pair for guarded in contacts.guarded]
         self.geoms = tuple(sorted({g for pair in (*guarded, *contacts.between) for g in (pair.first, pair.second)}))
-        self.guards = group_by_kinds(model, guarded, self.geoms)
+        self.meshes, rest = near_meshes(model, guarded, self.geoms)
+        self.guards = group_by_kinds(model, rest, self.geoms)
         self.between = group_by_condim(model, contacts.between, self.geoms)
         self._masks = self._read_masks(varying, contacts)
         enabled = has_constraints(model, "FRICTIONLOSS")
@@ -266,7 +268,7 @@ class LanesStepper:
         found, capped, zones = constrained_acceleration(
             ConstraintProblem(plan, moving, constraints, bodies, wrenches, tau), guess, state.zones
         )
-        tripped = state.tripped | doubtful | crossed(self.guards, placed, self._dtype)
+        tripped = crossed(self.guards, self.meshes, placed, state.tripped | doubtful, self._dtype)
         return Forward(moving, bodies, damping, actuation, medium and medium[1], found, capped, zones, tripped)
 
     def _placed(self, parameters: Parameters, moving: Sequence[Motion], lanes: int) -> PlacedGeoms:

@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jax import lax
 
+from btr_mjx.engines.guards.placed_geoms import largest_row
 from btr_mjx.engines.scalars import Vector, array, dot
 
 CORNERS = 4
@@ -103,24 +103,12 @@ def points(hull: Hulls, down: Vector, dtype: Any) -> list[tuple[list[jax.Array],
         return jnp.asarray(table.reshape(-1, *rest), dtype)[index]
 
     rows = [jnp.asarray(hull.vertices[..., k].reshape(-1, *number.shape), dtype) for k in range(3)]
-    place = _largest(dot(rows, down)) * members + number
+    place = largest_row(dot(rows, down)) * members + number
     nearest = [read(hull.vertices[..., k], place) for k in range(3)]
     around = [jnp.moveaxis(read(hull.normals[..., k], place, width), -1, 0) for k in range(3)]
-    face = place * width + _largest(dot(around, down))
+    face = place * width + largest_row(dot(around, down))
     found: list[tuple[list[jax.Array], jax.Array | None]] = [(nearest, None)]
     for n in range(CORNERS - 1):
         corner = [read(hull.corners[..., n, k], face) for k in range(3)]
         found.append((corner, dot(corner, down) > 0))  # none above the centre
     return found
-
-
-def _largest(values: jax.Array) -> jax.Array:
-    """Row of the largest of each column, the first of several: by halves, elementwise, of a power of two rows."""
-    index = lax.broadcasted_iota(jnp.int32, values.shape, 0)
-    while len(values) > 1:
-        half = len(values) // 2
-        better = values[half:] > values[:half]
-        values, index = (jnp.where(better, x[half:], x[:half]) for x in (values, index))
-        if half > 8:  # otherwise XLA computes all of it for every element
-            values, index = lax.optimization_barrier((values, index))
-    return index[0]
