@@ -111,9 +111,13 @@ def rollout(
     else:
         try:
             leaves = _with_constants(m, count, leaves)
-            require_supported(m, guards=True)
-            note = _touching_at_once(m, start, control, leaves)
-            program = None if note else _program(m, tuple(sorted(leaves)), chunk)
+            structure, names = _Structure(content_digest(m), m), tuple(sorted(leaves))
+            if names not in _tried(structure):
+                require_supported(m, guards=True)
+                note = _touching_at_once(m, start, control, leaves)
+            if not note:
+                program = _program(structure, names, chunk)
+                _tried(structure).add(names)
         except UnsupportedModel as error:
             note = str(error).split(";")[0]
     if program is None:
@@ -267,11 +271,17 @@ class _Structure:
     model: mujoco.MjModel = field(compare=False)
 
 
-def _program(m: mujoco.MjModel, varying: tuple[str, ...], chunk: int | None) -> "ControlledProgram":
+@lru_cache(maxsize=16)
+def _tried(structure: _Structure) -> set[tuple[str, ...]]:
+    """Varying fields with which a model has passed all that precedes compiling: it is not tried in every call."""
+    return set()
+
+
+def _program(structure: _Structure, varying: tuple[str, ...], chunk: int | None) -> "ControlledProgram":
     """The compiled program of a model."""
     from btr_mjx.engines import uses_doubles  # loads JAX, which takes seconds and bad input should not
 
-    return _compiled(_Structure(content_digest(m), m), varying, chunk, uses_doubles())
+    return _compiled(structure, varying, chunk, uses_doubles())
 
 
 @lru_cache(maxsize=16)
