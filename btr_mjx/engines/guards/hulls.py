@@ -17,19 +17,12 @@ import numpy as np
 from jax import lax
 
 from btr_mjx.engines.guards import bounds
-from btr_mjx.engines.guards.pairs import BOX, MESH, GeomPair, bounding_box
+from btr_mjx.engines.guards.pairs import BOX, MESH, NEAR, GeomPair, bounding_box, reference_poses
 from btr_mjx.engines.guards.placed_geoms import PlacedGeoms, largest_row
 from btr_mjx.engines.scalars import dot, scale, vadd, vsub
 
-_NEAR = 0.25
-"""Distance of two bounding boxes, in half diagonals of the smaller, below which the hulls are worth it.
-
-Of 8 robots of MuJoCo's Menagerie whose meshes never touch but whose boxes do from the start, guards clear 6, with 0 in
-place of 0.25 only 4.
-"""
-
 _STEPS = 40
-"""Directions that are tried; the 6 robots need 1, 1, 5, 5, 20 and 40."""
+"""Directions that are tried; six robots of MuJoCo's Menagerie need 1, 1, 5, 5, 20 and 40."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +47,7 @@ def near_meshes(
         return [], list(pairs)
     one, other = (_boxes(model, [getattr(pair, side) for pair in meshes]) for side in ("first", "second"))
     size = jnp.minimum(*(jnp.sqrt(dot(box.size, box.size)) for box in (one, other)))
-    near = np.asarray((bounds.lower_bound(one, other) < _NEAR * size).any(axis=1))
+    near = np.asarray((bounds.lower_bound(one, other) < NEAR * size).any(axis=1))
     found = [pair for pair, own in zip(meshes, near, strict=True) if own]
     hulls = [
         HullPair(geoms.index(p.first), geoms.index(p.second), (_vertices(model, p.first), _vertices(model, p.second)))
@@ -65,15 +58,9 @@ def near_meshes(
 
 def _boxes(model: mujoco.MjModel, geoms: Sequence[int]) -> bounds.Shapes:
     """Bounding boxes of P geoms in the S states qpos0 and all keyframes, (P, S)."""
-    data, places, axes = mujoco.MjData(model), [], []
     box = np.array([bounding_box(model, geom) for geom in geoms])
-    for key in range(-1, model.nkey):
-        if key >= 0:
-            mujoco.mj_resetDataKeyframe(model, data, key)
-        mujoco.mj_kinematics(model, data)
-        axes.append(data.geom_xmat[geoms].reshape(-1, 3, 3))
-        places.append(data.geom_xpos[geoms] + (axes[-1] @ box[:, :3, None])[..., 0])
-    centre, turned = jnp.asarray(np.stack(places, 1)), jnp.asarray(np.stack(axes, 1))
+    places, turns = (x[:, geoms].swapaxes(0, 1) for x in reference_poses(model))
+    centre, turned = jnp.asarray(places + (turns @ box[:, None, :3, None])[..., 0]), jnp.asarray(turns)
     vectors = [[turned[..., i, k] for i in range(3)] for k in range(3)]
     half = [jnp.asarray(box[:, 3 + i, None]) for i in range(3)]
     return bounds.Shapes(BOX, [centre[..., i] for i in range(3)], vectors, half)

@@ -86,7 +86,7 @@ def _quadrangle(polygon: np.ndarray) -> np.ndarray:
             c += 1
         while area(0, b + 1, c, d) > area(0, b, c, d):
             b += 1
-    return polygon[[0, b, c, d]]
+    return polygon[[0, b % n, c % n, d % n]]
 
 
 def points(hull: Hulls, down: Vector, dtype: Any) -> list[tuple[list[jax.Array], jax.Array | None]]:
