@@ -6,6 +6,9 @@ part of worlds that guards hand to native MuJoCo within a second of small random
 speed relative to `mujoco.rollout` on as many threads. Every model takes 1 s to some minutes to compile; `--no-run`
 leaves the rollouts out. `--oracle` compares single steps in double precision from random states with native MuJoCo,
 whose solver runs to convergence, in worlds that no guard marks.
+
+`--folder COPY --files "scene*.xml"` tries the robots of a copy of the MuJoCo Menagerie on their floors, with `--match`
+those of a list. Meshes that only show the robot may be absent from the copy.
 """
 
 import copy
@@ -40,6 +43,8 @@ class Config:
 
     folder: Path | None = None
     """Folder with the installed wheels; by default they are installed in a temporary one."""
+    files: str = "*.xml"
+    """Pattern of the names of the MJCF files that are tried."""
     run: bool = True
     """Whether models that are not refused are rolled out."""
     oracle: bool = False
@@ -61,12 +66,28 @@ def install(folder: Path) -> None:
     subprocess.run(["uv", "pip", "install", "--quiet", "--no-deps", "--target", str(folder), *WHEELS], check=True)
 
 
-def models(folder: Path) -> dict[str, mujoco.MjModel]:
+def load(path: Path) -> mujoco.MjModel:
+    """The model of an MJCF file, without meshes whose file is missing and the geoms that only show them."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    absent = {
+        mesh.name or Path(mesh.file).stem: mesh
+        for mesh in spec.meshes
+        if mesh.file and not (path.parent / spec.meshdir / mesh.file).is_file()
+    }
+    for geom in spec.geoms:
+        if geom.meshname in absent and not (geom.contype or geom.conaffinity):
+            spec.delete(geom)
+    for mesh in absent.values():
+        spec.delete(mesh)
+    return spec.compile()
+
+
+def models(folder: Path, files: str) -> dict[str, mujoco.MjModel]:
     """Every MJCF below a folder that loads and can move, by its path in the folder."""
     found = {}
-    for path in sorted(folder.rglob("*.xml")):
+    for path in sorted(folder.rglob(files)):
         try:
-            model = mujoco.MjModel.from_xml_path(str(path))
+            model = load(path)
         except ValueError:
             continue
         if model.nv:
@@ -155,7 +176,7 @@ def main(config: Config) -> None:
 def tabulate(folder: Path, config: Config) -> list[dict]:
     """One row for each model."""
     table = []
-    for path, model in models(folder).items():
+    for path, model in models(folder, config.files).items():
         covered = lanes.coverage(model)
         # A reason without the elements that it names.
         reasons = sorted({text.split(" (")[0] for text in covered.refused or covered.guarded})

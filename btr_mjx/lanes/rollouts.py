@@ -9,6 +9,7 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 
 _MAX_TRIPPED = 0.25
-"""Part of the first block that guards may hand to native MuJoCo before it evaluates everything."""
+"""Part of the first worlds that guards may hand to native MuJoCo before it evaluates everything."""
 
 _SAMPLE = 8
 """Worlds that native MuJoCo tries first, where contacts are guarded."""
@@ -95,7 +96,7 @@ def rollout(
 
     Returns:
       The states after every step. Worlds of lanes have JAX's default precision, those of native double precision.
-      Where lanes refuses the model, or its guards hand more than a quarter of the first block to native MuJoCo, that
+      Where lanes refuses the model, or its guards hand more than a quarter of the first chunks to native MuJoCo, that
       computes all worlds; `LanesRollout.note` and a warning of the log say why.
 
     Raises:
@@ -110,9 +111,13 @@ def rollout(
     else:
         try:
             leaves = _with_constants(m, count, leaves)
-            require_supported(m, guards=True)
-            note = _touching_at_once(m, start, control, leaves)
-            program = None if note else _program(m, tuple(sorted(leaves)), chunk)
+            structure, names = _Structure(content_digest(m), m), tuple(sorted(leaves))
+            if names not in _tried(structure):
+                require_supported(m, guards=True)
+                note = _touching_at_once(m, start, control, leaves)
+            if not note:
+                program = _program(structure, names, chunk)
+                _tried(structure).add(names)
         except UnsupportedModel as error:
             note = str(error).split(";")[0]
     if program is None:
@@ -120,8 +125,10 @@ def rollout(
     parts, size = _split(m, start), program.layout.pairs
     state, engine = np.zeros((count, control.shape[1], start.shape[1])), np.full(count, "lanes", dtype="U6")
     state[:, :, :1] = parts["time"][:, None] + m.opt.timestep * np.arange(1, control.shape[1] + 1)[:, None]
-    for first in range(0, count, size):
-        rows = slice(first, min(first + size, count))
+    # A chunk for each device comes first: what it takes is lost where its guards trip.
+    trial = program.layout.devices * program.layout.chunk
+    for first, last in pairwise([0, *range(trial, count, size), count]):
+        rows = slice(first, last)
         marked = program(
             {name: x[rows] for name, x in leaves.items()},
             (parts["qpos"][rows], parts["qvel"][rows], parts["act"][rows]),
@@ -264,11 +271,17 @@ class _Structure:
     model: mujoco.MjModel = field(compare=False)
 
 
-def _program(m: mujoco.MjModel, varying: tuple[str, ...], chunk: int | None) -> "ControlledProgram":
+@lru_cache(maxsize=16)
+def _tried(structure: _Structure) -> set[tuple[str, ...]]:
+    """Varying fields with which a model has passed all that precedes compiling: it is not tried in every call."""
+    return set()
+
+
+def _program(structure: _Structure, varying: tuple[str, ...], chunk: int | None) -> "ControlledProgram":
     """The compiled program of a model."""
     from btr_mjx.engines import uses_doubles  # loads JAX, which takes seconds and bad input should not
 
-    return _compiled(_Structure(content_digest(m), m), varying, chunk, uses_doubles())
+    return _compiled(structure, varying, chunk, uses_doubles())
 
 
 @lru_cache(maxsize=16)

@@ -25,7 +25,7 @@ SHAPES = {
 }
 ZOO = f"""<mujoco><asset><mesh name="wedge" vertex="0 0 0 .1 0 0 0 .12 0 0 0 .08 .05 .05 .1"/>
 <hfield name="hills" nrow="3" ncol="3" size="0.3 0.3 0.05 0.02" elevation="0 1 0 1 0 1 0 1 0"/></asset><worldbody>
-<geom name="slope" type="plane" size="1 1 1" pos="0 0 -0.2" zaxis="0.1 0 1"/>
+<body mocap="true"><geom name="slope" type="plane" size="1 1 1" pos="0 0 -0.2" zaxis="0.1 0 1"/></body>
 <geom type="hfield" hfield="hills" pos="0 0 -0.25"/>
 <geom name="step" type="box" size=".1 .1 .02" pos=".2 0 0" euler="10 20 30"/>
 {"".join(f'<body name="{n}"><freejoint/><geom name="{n}" mass="0.1" {g}/></body>' for n, g in SHAPES.items())}
@@ -62,6 +62,7 @@ def tripping(model: mujoco.MjModel) -> tuple[Callable[[np.ndarray], np.ndarray],
     )
     geoms = stepper.geoms
     pairs = {(geoms[i], geoms[j]) for group in stepper.guards for i, j in zip(group.first, group.second, strict=True)}
+    pairs |= {(geoms[pair.first], geoms[pair.second]) for pair in stepper.meshes}
     return jax.jit(crossed, compiler_options=QUICK), pairs
 
 
@@ -100,6 +101,23 @@ def test_bounds_of_primitive_shapes_are_tight(rng: np.random.Generator) -> None:
     assert (marked & ~touching).sum() < 0.02 * (~touching).sum()
 
 
+def test_hulls_of_meshes_are_told_apart_where_their_boxes_overlap(rng: np.random.Generator) -> None:
+    stones = [rng.normal(size=(n, 3)) * size for n, size in ((30, [0.1, 0.2, 0.05]), (12, [0.05, 0.05, 0.3]))]
+    assets = "".join(
+        f'<mesh name="stone{i}" vertex="{" ".join(map(str, stone.ravel()))}"/>' for i, stone in enumerate(stones)
+    )
+    bodies = "".join(f'<body><freejoint/><geom type="mesh" mesh="stone{i}"/></body>' for i in range(2))
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><asset>{assets}</asset><worldbody>{bodies}</worldbody></mujoco>")
+    with jax.enable_x64(True):
+        crossed, pairs = tripping(model)
+        assert len(pairs) == 1
+        qpos = scattered(model, 1000, rng)
+        marked, touching = np.asarray(crossed(qpos)), guarded_contacts(model, qpos, pairs)
+    assert 50 < touching.sum() < 950
+    assert not (touching & ~marked).any()
+    assert (marked & ~touching).sum() < 0.05 * (~touching).sum()
+
+
 def test_a_height_field_is_as_high_as_its_highest_point() -> None:
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><asset><hfield name="hills" nrow="3" ncol="3" size="1 1 4 0.1" elevation="0 1 0 1 0 1 0 1 0"/></asset>'
@@ -119,7 +137,7 @@ def test_sizes_and_places_may_differ_between_worlds(rng: np.random.Generator) ->
     model = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody>"
         + "".join(f'<body><freejoint/><geom name="{n}" type="capsule" size="0.03 0.1" mass="1"/></body>' for n in "ab")
-        + '</worldbody><contact><pair geom1="a" geom2="b"/></contact></mujoco>'  # explicit pairs are guarded
+        + '</worldbody><contact><pair geom1="a" geom2="b" solreffriction="0.02 1"/></contact></mujoco>'
     )
     count = 1500
     varied = {name: np.repeat(np.asarray(getattr(model, name), float)[None], count, 0) for name in ("geom_size",)}

@@ -168,11 +168,11 @@ def test_guards_hand_over_most_worlds_where_the_tried_ones_stay_clear(
     """The bound of a mesh is that of its box: the ball never touches it, but comes near."""
     text = ARM.format(extra='<body pos="1 0 -0.3"><joint/><geom type="mesh" mesh="tip" mass="1"/></body>').replace(
         "<worldbody>",
-        '<asset><mesh name="tip" vertex="0 0 0 .2 0 0 0 .2 0 0 0 .2"/></asset><worldbody>',
+        '<asset><mesh name="tip" vertex=".2 0 0 -.2 0 0 0 .15 0 0 -.15 0 0 0 .1 0 0 -.1"/></asset><worldbody>',
     )
     model = mujoco.MjModel.from_xml_string(text)
     states, controls = starts(model, 6, rng, 0), np.ones((6, 5, 2))
-    states[:, 3:6] = model.body("ball").pos + np.full(3, 0.14)  # qpos of the ball, beyond the slanted face
+    states[:, 3:6] = model.body("ball").pos + np.array([0.17, 0.12, 0.08])  # qpos of the ball, beyond the slanted face
     states[:, 1 + model.nq :] = 0
     found = lanes.rollout(text, states, controls)
     assert "guards found possible contacts" in found.note

@@ -78,6 +78,18 @@ def fold_rows(combine: Callable[[jax.Array, jax.Array], jax.Array], x: jax.Array
     return reduce(combine, [*rest, x])[0]
 
 
+def largest_row(values: jax.Array) -> jax.Array:
+    """Row of the largest of each column, the first of several: by halves, elementwise, of a power of two rows."""
+    index = lax.broadcasted_iota(jnp.int32, values.shape, 0)
+    while len(values) > 1:
+        half = len(values) // 2
+        better = values[half:] > values[:half]
+        values, index = (jnp.where(better, x[half:], x[:half]) for x in (values, index))
+        if half > 8:  # otherwise XLA computes all of it for every element
+            values, index = lax.optimization_barrier((values, index))
+    return index[0]
+
+
 def member(x: Any, i: int) -> Any:
     """The row of a member of a group; numbers and rows of single links stay as they are."""
     return x[i] if np.ndim(x) == 2 else x

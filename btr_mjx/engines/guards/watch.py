@@ -7,20 +7,24 @@ import jax
 import jax.numpy as jnp
 
 from btr_mjx.engines.guards import bounds
+from btr_mjx.engines.guards.hulls import HullPair, near_hulls
 from btr_mjx.engines.guards.pairs import PairGroup
 from btr_mjx.engines.guards.placed_geoms import PlacedGeoms, fold_rows
 
 
-def crossed(groups: Sequence[PairGroup], geoms: PlacedGeoms, dtype: Any) -> jax.Array:
-    """Worlds, bool (C,), in which the bound of some guarded pair is crossed, or a pose is not finite.
+def crossed(
+    groups: Sequence[PairGroup], meshes: Sequence[HullPair], geoms: PlacedGeoms, marked: jax.Array, dtype: Any
+) -> jax.Array:
+    """Worlds, bool (C,), that are marked or in which the bound of some guarded pair is crossed or a pose not finite.
 
     No other world has a contact of these pairs.
     """
-    tripped = jnp.zeros(geoms.lanes, bool)
     for group in groups:
         a, b = geoms.shapes(group.kinds[0], group.first), geoms.shapes(group.kinds[1], group.second)
         margin = geoms.stacked("margin", group.first) + geoms.stacked("margin", group.second)
         limit = jnp.maximum(margin, jnp.asarray(group.explicit, dtype)) + bounds.rounding(a, b)
         # A bound that is not a number is not larger than the limit either.
-        tripped = tripped | fold_rows(jnp.logical_or, ~(bounds.lower_bound(a, b) > limit))
-    return tripped
+        marked = marked | fold_rows(jnp.logical_or, ~(bounds.lower_bound(a, b) > limit))
+    for pair in meshes:
+        marked = near_hulls(pair, geoms, marked, dtype)
+    return marked

@@ -6,6 +6,7 @@ Source: google-deepmind/mujoco, mj_contactParam, mj_makeImpedance, getsolparam.
 import mujoco
 import numpy as np
 
+from btr_mjx.engines.guards.pairs import explicit_pairs
 from btr_mjx.engines.lanes_engine import support
 from btr_mjx.engines.lanes_engine.field_access import Fields, apply_matrix, rigid_pose, rotation_matrices
 from btr_mjx.engines.lanes_engine.tree import Touch
@@ -80,6 +81,8 @@ def touch_parameters(
     if touch.kind in (support.BOX, support.ELLIPSOID):
         edges = matrix * size[..., None, :]
         result["edges"] = np.swapaxes(edges, -1, -2).reshape(*edges.shape[:2], 9)
+    if touch.kind == support.MESH:
+        result["axes"] = matrix.reshape(*matrix.shape[:2], 9)
     rounded = touch.kind in (support.SPHERE, support.CAPSULE)
     result["radius"] = size[..., 0:1] if rounded else np.zeros((1, 1, 1))
     return result | contact_parameters(model, fields, plane, geom, touch.condim)
@@ -89,11 +92,15 @@ def contact_parameters(
     model: mujoco.MjModel, fields: Fields, first: int, second: int, condim: int
 ) -> dict[str, np.ndarray]:
     """Mixed parameters of the contact of two geoms (mj_contactParam, mj_makeImpedance)."""
+    explicit = explicit_pairs(model, first, second)
     rank = model.geom_priority[first], model.geom_priority[second]
     both = {
         key: (fields(f"geom_{key}", first), fields(f"geom_{key}", second)) for key in ("solref", "solimp", "friction")
     }
-    if rank[0] != rank[1]:
+    if explicit:
+        chosen = {key: fields(f"pair_{key}", explicit[0]) for key in ("solref", "solimp")}
+        chosen["friction"] = fields("pair_friction", explicit[0])[..., [0, 2, 3]]
+    elif rank[0] != rank[1]:
         chosen = {key: value[0 if rank[0] > rank[1] else 1] for key, value in both.items()}
     else:
         chosen = _mix(fields("geom_solmix", first)[..., None], fields("geom_solmix", second)[..., None], both)
@@ -105,6 +112,8 @@ def contact_parameters(
         weight = weight * 2 * mu**2 * (1 + mu**2) / np.maximum(MINVAL, fields("opt.impratio")[..., None])
     result = {"friction": friction, "scale": 1 / np.maximum(MINVAL, weight)}
     result |= constraint_row(chosen["solref"], chosen["solimp"], model)
+    if explicit:
+        return result | {"margin": fields("pair_margin", slice(explicit[0], explicit[0] + 1))}
     return result | {"margin": (fields("geom_margin", first) + fields("geom_margin", second))[..., None]}
 
 

@@ -71,21 +71,22 @@ def inertia_system(plan: TreePlan, parameters: Parameters, motions: Sequence[Mot
 
 
 def bias_wrenches(plan: TreePlan, parameters: Parameters, motions: Sequence[Motion]) -> list[Spatial]:
-    """Inertial wrench about each link's origin at zero joint accelerations, minus gravity.
+    """Inertial wrench about each link's origin at zero joint accelerations, minus gravity and its compensation.
 
     Newton-Euler equations about the origin: with h = sum of m c and the inertia J about the origin, the force is
     m a + alpha x h + w x (w x h) and the torque J alpha + w x J w + h x a.
     """
     found: list[Spatial] = []
+    gravity = parameters["world/gravity"]
     for link, m in zip(plan.links, motions, strict=True):
         mass = parameters.one(f"{link.index}/mass")
         h = matvec(m.rotation, parameters[f"{link.index}/h"])
         body = rigid_block(mass, h, sandwich(m.rotation, parameters[f"{link.index}/inertia"]))
         force, torque = body @ (m.acceleration, m.angular_acceleration)
         momentum = rigid_block(0.0, h, body.angular) @ ([0.0] * 3, m.angular_velocity)
-        found.append(
-            (vadd(force, cross(m.angular_velocity, momentum[0])), vadd(torque, cross(m.angular_velocity, momentum[1])))
-        )
+        force, torque = (vadd(x, cross(m.angular_velocity, y)) for x, y in zip((force, torque), momentum, strict=True))
+        lifted, *lift = parameters[f"{link.index}/lift"]
+        found.append((vadd(force, scale(lifted, gravity)), vadd(torque, cross(matvec(m.rotation, lift), gravity))))
     return found
 
 

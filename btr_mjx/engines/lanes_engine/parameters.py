@@ -27,9 +27,13 @@ from btr_mjx.engines.scalars import SIX, Scalar, constant
 
 
 def _inertia(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.ndarray]:
-    """Inertia of a rigid link about its origin: mass, `h` = sum of m c [kg m], `inertia` (xx yy zz xy xz yz)."""
+    """Inertia of a rigid link about its origin: mass, `h` = sum of m c [kg m], `inertia` (xx yy zz xy xz yz).
+
+    "lift" are the same mass and three moments of what is without weight, by MuJoCo's gravity compensation.
+    """
     h: Any = np.zeros((1, 1, 3))
     own: Any = np.zeros((1, 1))
+    lift: Any = np.zeros((1, 1, 4))
     tensor: Any = np.zeros((1, 1, 3, 3))
     for b in rigid_members(model, body):
         position, matrix = rigid_pose(model, fields, b, body)
@@ -39,9 +43,16 @@ def _inertia(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.n
         about = (axes * fields("body_inertia", b)[..., None, :]) @ np.swapaxes(axes, -1, -2)
         square = (c * c).sum(-1)[..., None, None] * np.eye(3) - c[..., :, None] * c[..., None, :]
         own, h = own + mass[..., 0], h + mass * c
+        if model.body_gravcomp[b] and _passive_forces(model):
+            lift = lift + model.body_gravcomp[b] * mass * np.concatenate([np.ones_like(c[..., :1]), c], -1)
         tensor = tensor + about + mass[..., None] * square
     six = [tensor[..., i, j] for i, j in SIX]
-    return {"mass": own[..., None], "h": h, "inertia": np.stack(six, -1)}
+    return {"mass": own[..., None], "h": h, "inertia": np.stack(six, -1), "lift": lift}
+
+
+def _passive_forces(model: mujoco.MjModel) -> bool:
+    """MuJoCo skips all passive forces, drag and gravity compensation included, without both springs and dampers."""
+    return not (support.disabled(model, "SPRING") and support.disabled(model, "DAMPER"))
 
 
 def _fluid(model: mujoco.MjModel, fields: Fields, body: int, root: int) -> dict[str, np.ndarray]:
@@ -213,9 +224,7 @@ def derive(
     gravity = np.zeros((1, 1, 3)) if support.disabled(model, "GRAVITY") else fields("opt.gravity")
     options = {key: fields(f"opt.{key}")[..., None] for key in ("density", "viscosity", "impratio")}
     put("world", [{"gravity": gravity, "wind": fields("opt.wind"), **options}])
-    # MuJoCo skips all passive forces, drag included, if both springs and dampers are disabled.
-    passive_forces = not (support.disabled(model, "SPRING") and support.disabled(model, "DAMPER"))
-    has_fluid = passive_forces and bool(np.any(options["density"]) or np.any(options["viscosity"]))
+    has_fluid = _passive_forces(model) and bool(np.any(options["density"]) or np.any(options["viscosity"]))
     for plane in sorted({touch.plane for link in plan.links for touch in link.touches}):
         put(f"plane{plane}", [plane_frame(model, fields, plane)])
     for link in plan.links:

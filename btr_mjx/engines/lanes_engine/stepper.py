@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.engines.base import Leaves
+from btr_mjx.engines.guards.hulls import near_meshes
 from btr_mjx.engines.guards.pairs import group_by_condim, group_by_kinds
 from btr_mjx.engines.guards.placed_geoms import PlacedGeoms, Pose
 from btr_mjx.engines.guards.watch import crossed
@@ -92,9 +93,10 @@ class LanesStepper:
         contacts = support.require_supported(model, guards)
         guarded = [guarded.pair for guarded in contacts.guarded]
         self.geoms = tuple(sorted({g for pair in (*guarded, *contacts.between) for g in (pair.first, pair.second)}))
-        self.guards = group_by_kinds(model, guarded, self.geoms)
+        self.meshes, rest = near_meshes(model, guarded, self.geoms)
+        self.guards = group_by_kinds(model, rest, self.geoms)
         self.between = group_by_condim(model, contacts.between, self.geoms)
-        self._masks = self._read_masks(varying)
+        self._masks = self._read_masks(varying, contacts)
         enabled = has_constraints(model, "FRICTIONLOSS")
         friction = (
             enabled & ((base_field(model, name) != 0) | self._masks.get(name, False))
@@ -111,12 +113,16 @@ class LanesStepper:
         sample = {key: [np.asarray(column[0], self._dtype) for column in columns] for key, columns in arrays.items()}
         jax.eval_shape(self._record_zone_layout, sample)
 
-    def _read_masks(self, varying: Iterable[str] | Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def _read_masks(
+        self, varying: Iterable[str] | Mapping[str, np.ndarray], contacts: support.Contacts
+    ) -> dict[str, np.ndarray]:
         """Field name -> bool array of the field's shape."""
         masks = {}
+        shaped = self.geoms or any(self._model.geom_type[geom] == support.MESH for geom in contacts.computed)
+        shapes = ("pair_", *(("mesh_vert", "hfield_") if shaped else ()))
         for name in sorted(varying):
-            if self.guards and name.startswith(("mesh_vert", "hfield_", "pair_")):
-                raise support.refuse(f"a field {name!r} of guarded contacts that differs between worlds")
+            if name.startswith(shapes):
+                raise support.refuse(f"a field {name!r} of contacts that differs between worlds")
             if not influences_motion(name):
                 continue
             if name not in VARYING:
@@ -188,7 +194,7 @@ class LanesStepper:
         )
         found: list[Constraint] = [
             *dof_constraints(self.plan, parameters, q, speeds),
-            *contact_points(self.plan, parameters, moving, self._elliptic, self._dtype),
+            *contact_points(self._model, self.plan, parameters, moving, self._elliptic, self._dtype),
             *between,
             *path_rows(self.plan, self._columns, parameters, q, v, self._dtype),
             *closures(self.plan, self._columns, parameters, moving, speeds, self._dtype),
@@ -262,7 +268,7 @@ class LanesStepper:
         found, capped, zones = constrained_acceleration(
             ConstraintProblem(plan, moving, constraints, bodies, wrenches, tau), guess, state.zones
         )
-        tripped = state.tripped | doubtful | crossed(self.guards, placed, self._dtype)
+        tripped = crossed(self.guards, self.meshes, placed, state.tripped | doubtful, self._dtype)
         return Forward(moving, bodies, damping, actuation, medium and medium[1], found, capped, zones, tripped)
 
     def _placed(self, parameters: Parameters, moving: Sequence[Motion], lanes: int) -> PlacedGeoms:

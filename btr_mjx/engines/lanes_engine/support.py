@@ -12,11 +12,15 @@ from btr_mjx.engines.guards.pairs import (
     CAPSULE,
     CYLINDER,
     ELLIPSOID,
+    MESH,
     PLANE,
     SPHERE,
     GeomPair,
+    contact_condim,
+    explicit_pairs,
     geom_pairs,
-    mixed_condim,
+    near_plane,
+    reference_poses,
 )
 from btr_mjx.engines.lanes_engine.tree import BALL, FREE
 from btr_mjx.engines.lanes_engine.tree_builder import active_equalities, make_plan, moving_tendons
@@ -127,7 +131,6 @@ def _check_elements(m: mujoco.MjModel) -> Iterator[str]:
         if count:
             yield f"{what} ({name(m, kind, 0)})"
     for field, kind, what in (
-        ("body_gravcomp", obj.mjOBJ_BODY, "gravity compensation"),
         ("geom_adhesion", obj.mjOBJ_GEOM, "adhesion"),
         ("geom_surfacevel", obj.mjOBJ_GEOM, "surface velocities"),
         ("jnt_stiffnesspoly", obj.mjOBJ_JOINT, "polynomial stiffness"),
@@ -150,6 +153,8 @@ def _check_joints(m: mujoco.MjModel) -> Iterator[str]:
     for j in range(m.njnt):
         where = name(m, mujoco.mjtObj.mjOBJ_JOINT, j)
         dofs = m.dof_jntid == j
+        if m.jnt_actgravcomp[j] and m.body_gravcomp.any():
+            yield f"gravity compensation by actuators ({where})"
         if m.jnt_type[j] == BALL and m.jnt_limited[j] and m.dof_frictionloss[dofs].any():
             yield f"friction loss of a ball joint with a limit ({where})"
         if m.jnt_type[j] != FREE:
@@ -236,9 +241,10 @@ def _check_size(m: mujoco.MjModel) -> Iterator[str]:
 def possible_contacts(m: mujoco.MjModel) -> Contacts:
     """The pairs of geoms that MuJoCo can collide, with what this engine does with them."""
     found = Contacts({}, [], [])
+    poses = reference_poses(m)
     for pair in geom_pairs(m):
-        condim = mixed_condim(m, pair)
-        reason = _not_computed(m, pair)
+        condim = contact_condim(m, pair)
+        reason = _not_computed(m, poses, pair)
         if reason:
             found.guarded.append(Guarded(pair, f"{reason} ({_both(m, pair.first, pair.second)})"))
         elif m.geom_type[pair.first] == PLANE:
@@ -252,16 +258,25 @@ def _both(m: mujoco.MjModel, g1: int, g2: int) -> str:
     return f"{name(m, mujoco.mjtObj.mjOBJ_GEOM, g1)} and {name(m, mujoco.mjtObj.mjOBJ_GEOM, g2)}"
 
 
-def _not_computed(m: mujoco.MjModel, pair: GeomPair) -> str:
+def _not_computed(m: mujoco.MjModel, poses: tuple[np.ndarray, np.ndarray], pair: GeomPair) -> str:
     """Why a contact is not computed; empty if it is."""
-    if pair.explicit >= 0:
-        return "explicit contact pairs"
+    own = pair.explicit
+    if own >= 0:
+        slide, across, _, roll, over = m.pair_friction[own]
+        if slide != across or roll != over or m.pair_solreffriction[own].any() or m.pair_adhesion[own]:
+            return "explicit contact pairs with friction that depends on the direction, solreffriction or adhesion"
+        if len(explicit_pairs(m, pair.first, pair.second)) > 1:
+            return "several explicit contact pairs of the same geoms"
     kinds = {int(m.geom_type[g]) for g in (pair.first, pair.second)}
     if PLANE in kinds:
         if m.body_weldid[m.geom_bodyid[pair.first]] != 0:
             return "contact with a plane that moves"
-        if m.geom_type[pair.second] not in (SPHERE, CAPSULE, BOX, CYLINDER, ELLIPSOID):
+        if m.geom_type[pair.second] not in (SPHERE, CAPSULE, BOX, CYLINDER, ELLIPSOID, MESH):
             return f"contact of {mujoco.mjtGeom(m.geom_type[pair.second]).name} with a plane"
+        if m.geom_type[pair.second] == MESH and not m.mesh_polynum[m.geom_dataid[pair.second]]:
+            return "contact of a mesh without a convex hull with a plane"
+        if m.geom_type[pair.second] == MESH and not near_plane(m, poses, pair.first, pair.second):
+            return "contact of a mesh with a plane that is far from it at first"
     elif not kinds <= {SPHERE, CAPSULE}:
         return "contact between geoms other than spheres, capsules and planes"
     return ""

@@ -1,4 +1,4 @@
-"""Contact points of spheres, capsules, boxes, cylinders and ellipsoids with fixed planes.
+"""Contact points of spheres, capsules, boxes, cylinders, ellipsoids and meshes with fixed planes.
 
 Source: google-deepmind/mujoco, mjc_PlaneSphere, mjc_PlaneCapsule, mjc_PlaneBox, mjc_PlaneCylinder; impedance and
 reference acceleration as in mj_makeImpedance and mj_referenceConstraint.
@@ -11,9 +11,11 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 from btr_mjx.engines.lanes_engine import support
+from btr_mjx.engines.lanes_engine.constraints import mesh_points
 from btr_mjx.engines.lanes_engine.constraints.cones import Contact, impedance, make_cone
 from btr_mjx.engines.lanes_engine.kinematics import Motion, point_velocity
 from btr_mjx.engines.lanes_engine.parameters import Parameters
@@ -27,6 +29,7 @@ from btr_mjx.engines.scalars import (
     cross,
     dot,
     is_zero,
+    matmul,
     matvec,
     mul,
     neg,
@@ -39,8 +42,10 @@ from btr_mjx.engines.scalars import (
 )
 
 
-def _points(parameters: Parameters, key: str, touch: Touch, m: Motion) -> list[tuple[list[Scalar], Any]]:
-    """Candidate points: offset from the link's origin; for corners of a box also from the geom's centre, else None."""
+def _points(
+    model: mujoco.MjModel, parameters: Parameters, key: str, touch: Touch, m: Motion, dtype: Any
+) -> list[tuple[list[Scalar], Any]]:
+    """Candidate points: offset from the link's origin, and in which worlds they can touch; None for all."""
     centre = matvec(m.rotation, parameters[f"{key}/centre"])
     if touch.kind == support.SPHERE:
         return [(centre, None)]
@@ -50,6 +55,11 @@ def _points(parameters: Parameters, key: str, touch: Touch, m: Motion) -> list[t
     normal = parameters.matrix(f"plane{touch.plane}/frame")[0]
     if touch.kind == support.CYLINDER:
         return [(vadd(centre, point), None) for point in _rim_points(parameters, key, normal, m)]
+    if touch.kind == support.MESH:
+        axes = matmul(m.rotation, parameters.matrix(f"{key}/axes"))
+        down = [neg(x) for x in matvec(transpose(axes), normal)]
+        found = mesh_points.points(mesh_points.hulls(model, touch.geoms), down, dtype)
+        return [(vadd(centre, matvec(axes, point)), possible) for point, possible in found]
     edges = [matvec(m.rotation, row) for row in parameters.matrix(f"{key}/edges")]
     if touch.kind == support.ELLIPSOID:
         along = [dot(edge, normal) for edge in edges]
@@ -59,7 +69,7 @@ def _points(parameters: Parameters, key: str, touch: Touch, m: Motion) -> list[t
     corners = []
     for signs in product((-1.0, 1.0), repeat=3):
         corner = [total(mul(sign, edge[i]) for sign, edge in zip(signs, edges, strict=True)) for i in range(3)]
-        corners.append((vadd(centre, corner), corner))
+        corners.append((vadd(centre, corner), dot(normal, corner) <= 0))  # only the lower corners can touch
     return corners
 
 
@@ -112,7 +122,12 @@ class _GeomOverPlane:
 
 
 def contact_points(
-    plan: TreePlan, parameters: Parameters, motions: Sequence[Motion], elliptic: bool, dtype: Any
+    model: mujoco.MjModel,
+    plan: TreePlan,
+    parameters: Parameters,
+    motions: Sequence[Motion],
+    elliptic: bool,
+    dtype: Any,
 ) -> list[Contact]:
     """All candidate contact points, with MuJoCo's reference accelerations; inactive ones have weight zero."""
     found = []
@@ -122,8 +137,8 @@ def contact_points(
             frame = _contact_frame(parameters, key, touch, m)
             base = sub(dot(frame[0], m.position), parameters.one(f"plane{touch.plane}/offset"))
             geom = _GeomOverPlane(key, link, touch, m, frame, base)
-            for offset, corner in _points(parameters, key, touch, m):
-                found.append(_contact(parameters, geom, offset, corner, elliptic, dtype))
+            for offset, possible in _points(model, parameters, key, touch, m, dtype):
+                found.append(_contact(parameters, geom, offset, possible, elliptic, dtype))
     return found
 
 
@@ -131,7 +146,7 @@ def _contact(
     parameters: Parameters,
     geom: _GeomOverPlane,
     offset: Vector,
-    corner: Vector | None,
+    possible: jax.Array | None,
     elliptic: bool,
     dtype: Any,
 ) -> Contact:
@@ -141,8 +156,8 @@ def _contact(
     distance = sub(add(geom.base, dot(frame[0], offset)), radius)
     beyond = sub(distance, parameters.one(f"{key}/margin"))
     active = beyond < 0
-    if corner is not None:
-        active = active & (dot(frame[0], corner) <= 0)  # only the lower corners of a box can touch
+    if possible is not None:
+        active = active & possible
     x = vsub(offset, scale(add(radius, mul(0.5, distance)), frame[0]))
     imp = impedance(parameters[f"{key}/impedance"], beyond)
     strength = mul(parameters.one(f"{key}/scale"), imp / (1.0 - imp))
