@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.backtoreality.algorithm import Report, advance, begin
+from btr_mjx.backtoreality.algorithm import advance, begin
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.reality import SimulatedReality, Waiting
 from btr_mjx.backtoreality.run_state import Phase, Problem, State, state_from_arrays, state_to_arrays
+from btr_mjx.backtoreality.search_record import Report
 from btr_mjx.backtoreality.trial_information import slope_simulations
 from btr_mjx.gap.simulate import Journal, followed_search
 from btr_mjx.models import robot_digest

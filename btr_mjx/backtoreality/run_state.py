@@ -150,6 +150,11 @@ class State:
     sought: tuple[dict[str, Any], ...] = ()
     told: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def sought_here(self) -> bool:
+        """Whether a missing effect was looked for in this iteration."""
+        return any(row["iteration"] == self.iteration for row in self.sought)
+
 
 def state_to_arrays(state: State) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """A state as named arrays and JSON-able values; the inverse of `state_from_arrays`."""

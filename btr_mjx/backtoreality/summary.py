@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.backtoreality.algorithm import best_index
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.run_state import Problem, State
+from btr_mjx.backtoreality.search_record import best_index
 from btr_mjx.backtoreality.simulation_search import whole_trial_delta
 from btr_mjx.evaluation import learning_performance
 from btr_mjx.gap.results import format_number

@@ -12,6 +12,7 @@ from btr_mjx.backtoreality import (
     SearchSettings,
     SimulatedReality,
     State,
+    select_transferable,
 )
 from btr_mjx.backtoreality import algorithm as btr
 from btr_mjx.backtoreality.run_state import Trials, state_from_arrays, state_to_arrays
@@ -200,13 +201,13 @@ def genomes(*numbers: int) -> np.ndarray:
 def test_fallback_to_earlier_generations() -> None:
     bits = np.stack([genomes(1, 2, 3, 4), genomes(5, 6, 7, 8), genomes(9, 10, 9, 11)])
     scores = np.array([[4.0, 3.0, 2.0, 1.0], [0.1, np.nan, 0.3, 0.2], [7.0, np.nan, 7.0, 5.0]])
-    chosen, values = btr.select_transferable(bits, scores, 4, maximise=True)
+    chosen, values = select_transferable(bits, scores, 4, maximise=True)
     # 9 and 11 of the last generation (10 diverged, the second 9 is the same controller), then 7 and 8.
     np.testing.assert_array_equal(chosen, genomes(9, 11, 7, 8))
     assert values.tolist() == [7.0, 5.0, 0.3, 0.2]
-    chosen, values = btr.select_transferable(bits, scores, 3, maximise=False)
+    chosen, values = select_transferable(bits, scores, 3, maximise=False)
     assert values.tolist() == [5.0, 7.0, 0.1]
-    chosen, _ = btr.select_transferable(bits[:1], np.full((1, 4), np.nan), 3, maximise=True)
+    chosen, _ = select_transferable(bits[:1], np.full((1, 4), np.nan), 3, maximise=True)
     assert len(chosen) == 0
 
 
