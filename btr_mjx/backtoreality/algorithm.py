@@ -2,7 +2,7 @@
 
 Iteration i:
   1. Controller search: a population of M controllers, made from c_(i-1) by bit flips or in iteration 1 at random, is
-     evolved for a few generations in the best simulation s_(i-1).
+     evolved for a few generations in the best simulation s_(i-1), or for the mean of those that are still possible.
   2. Selection, transfer, test: the m best are tried in reality; the one that is best in reality becomes c_i.
   3. Simulation search: a population of L simulations around s_(i-1) is evolved to minimise Delta_fitness; see
      `simulation_search`.
@@ -28,7 +28,8 @@ from btr_mjx.backtoreality.simulation_search import (
     delta_of_simulations,
     whole_trial_delta,
 )
-from btr_mjx.backtoreality.told_words import told_by_trials, told_sentence
+from btr_mjx.backtoreality.told_words import told_record, told_sentence
+from btr_mjx.backtoreality.trial_information import told_by_trials
 from btr_mjx.errors import InputError
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.models import base_model
@@ -54,7 +55,8 @@ def begin(problem: Problem, genome: np.ndarray | None = None) -> State:
     _check_marks(problem)
     marks = np.zeros((0, len(problem.times) - 1))
     trials = Trials(np.zeros((0, box.n)), np.zeros(0), marks, np.zeros(0), np.zeros(0, int))
-    return State("baseline", 1, start, first, trials)
+    others = problem.embed(problem.simulation_box.sample(problem.rng(0, 1), problem.settings.ensemble - 1))
+    return State("baseline", 1, start, np.concatenate([start[None], others]), first, trials)
 
 
 def advance(problem: Problem, state: State, report: Report | None = None, counter: Counter | None = None) -> State:
@@ -160,6 +162,8 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
     if after >= state.delta_before:
         simulation, after = state.simulation, state.delta_before
     told = told_by_trials(problem, simulation, state.trials, state.iteration)
+    record = told_record(told, box)
+    others = told.possible(problem.rng(state.iteration, 4), settings.ensemble - 1)
     latest = state.trials.iteration == state.iteration
     chosen = best_index(np.where(latest, state.trials.f_r, np.nan), problem.fitness.maximise)
     report(
@@ -174,7 +178,7 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
             "f_r_mean": float(np.nanmean(state.trials.f_r[latest])),
             "evaluations": len(state.trials),
             "simulation": simulation,
-            "told": told_sentence(told, problem.simulation_box),
+            "told": told_sentence(record, box),
         },
     )
     stop = ""
@@ -187,11 +191,12 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
     state = replace(
         state,
         simulation=simulation,
+        ensemble=np.concatenate([simulation[None], problem.embed(box.low + box.span * others)]),
         search=None,
         genomes=state.genomes[:0],
         scores=state.scores[:0],
         stop=stop,
-        told=told,
+        told=record,
     )
     if len(state.grown) < settings.most_effects and not state.sought_here:
         return replace(state, phase="growth", delta_before=after)

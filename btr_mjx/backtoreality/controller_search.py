@@ -16,11 +16,11 @@ from btr_mjx.robots import Robot
 
 
 def search_controllers(problem: Problem, state: State, report: Report) -> State:
-    """Step 1, one generation: evolve controllers in s_(i-1)."""
+    """Step 1, one generation: evolve controllers for the mean of the ensemble, that is in s_(i-1) where it is one."""
     settings, box = problem.settings.step_1, problem.controller_box
     algorithm = genetic_algorithm(box, settings, maximise=problem.fitness.maximise)
     genomes, search = algorithm.ask(state.search or _first_population(problem, state, algorithm))
-    scores = problem.simulate(state.simulation[None], box.decode(genomes))[0]
+    scores = problem.simulate(state.ensemble, box.decode(genomes)).mean(axis=0)
     state = after_generation(state, algorithm.tell(search, genomes, scores), genomes, scores)
     report("generation", generation_row(state, "controllers", scores, problem.fitness.maximise))
     if len(state.scores) < settings.generations:

@@ -142,7 +142,7 @@ def _pairs_left(problem: Problem, state: State, step_3: float = 1) -> float:
         behaviours = settings.trials * (iteration if settings.behaviours == "all" else 1)
         done = len(state.scores) if iteration == state.iteration and state.phase != "transfer" else 0
         if iteration > state.iteration or state.phase in ("baseline", "controllers"):
-            left += settings.controllers * (settings.controller_generations - done) + behaviours
+            left += settings.ensemble * settings.controllers * (settings.controller_generations - done) + behaviours
             done = 0
         left += step_3 * settings.simulations * behaviours * (settings.simulation_generations - done)
         left += slopes * behaviours

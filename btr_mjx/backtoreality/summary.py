@@ -32,7 +32,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
       _last: mean absolute error of the unknown parameters, None for a reality that is not simulated. The fitness
       function's name, unit and direction; bounds and units of the unknown parameters (space). reality_evaluations, lp
       (learning performance) and its terms, the simulation, what the trials tell of it (told, see
-      `told_words.told_by_trials`), the best controller, the stop criterion that was met, and
+      `told_words.told_record`), the best controller, the stop criterion that was met, and
       the noise of a single measurement where trials were measured more than once.
     """
     original, problem = problem, grown(problem, state.grown)

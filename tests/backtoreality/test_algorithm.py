@@ -84,6 +84,22 @@ def test_the_population_with_which_step_1_begins(problem: Problem, first: Litera
         assert (population[1:] != population[0]).mean() == pytest.approx(share, abs=error)
 
 
+def test_step_1_takes_the_mean_over_simulations_that_are_possible(problem: Problem) -> None:
+    problem = dataclasses.replace(problem, settings=dataclasses.replace(SETTINGS, ensemble=4, optimiser="cma"))
+    first = btr.begin(problem)
+    state, rows = run(problem)
+    archive = rows["archive"][0]
+    for genome, score in zip(archive["genomes"][1], archive["scores"][1], strict=True):
+        controller = problem.controller_box.decode(genome[None])
+        alone = [evaluate(problem.robot, [own], controller, engine="native").fitness[0, 0] for own in first.ensemble]
+        assert score == pytest.approx(np.mean(alone), rel=1e-12)
+    box, unknown = problem.robot.simulation_box, problem.robot.simulation_box.indices(problem.unknown)
+    for now, best in ((first, problem.start), (state, state.simulation)):
+        np.testing.assert_array_equal(now.ensemble[0], best)
+        np.testing.assert_array_equal(np.delete(now.ensemble, unknown, 1), np.delete(np.tile(best, (4, 1)), unknown, 1))
+        assert len(np.unique(box.validate(now.ensemble, "ensemble"), axis=0)) == 4
+
+
 def test_step_2_tries_the_best_of_the_last_generation(problem: Problem) -> None:
     state, rows = run(problem)
     last = rows["archive"][0]
@@ -134,7 +150,7 @@ def test_the_truth_as_start_is_kept(problem: Problem) -> None:
 
 @pytest.mark.parametrize("optimiser", ["ga", "cma"])
 def test_resuming_after_any_piece_gives_the_same_end(problem: Problem, optimiser: Literal["ga", "cma"]) -> None:
-    problem = dataclasses.replace(problem, settings=dataclasses.replace(SETTINGS, optimiser=optimiser))
+    problem = dataclasses.replace(problem, settings=dataclasses.replace(SETTINGS, optimiser=optimiser, ensemble=2))
     whole, rows = run(problem)
     state, again = btr.begin(problem), []
     while state.phase != "done":
