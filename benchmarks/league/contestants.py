@@ -139,7 +139,9 @@ def _fitted(task: Task, robot: Robot, simulation: np.ndarray) -> np.ndarray:
     return out
 
 
-def back_to_reality(task: Task, grow_from: Literal["recordings", "fitness"] | None = None) -> Answer:
+def back_to_reality(
+    task: Task, grow_from: Literal["recordings", "fitness"] | None = None, ensemble: int | None = None
+) -> Answer:
     """Back-to-Reality: ensembles, and CMA-ES on what is unknown, from fitness; growth where data of it are named."""
     config = CoevolveConfig(
         unknown=task.unknown,
@@ -152,7 +154,7 @@ def back_to_reality(task: Task, grow_from: Literal["recordings", "fitness"] | No
         trials=(task.trials - 1) // task.budget.rounds,  # the first controller is a trial, too
         controllers=task.budget.controllers,
         controller_generations=task.budget.generations,
-        ensemble=task.budget.draws,
+        ensemble=ensemble or task.budget.draws,
         simulations=task.budget.simulations,
         simulation_generations=task.budget.simulation_generations,
         grow=grow_from is not None,
@@ -185,6 +187,7 @@ CONTESTANTS: Mapping[str, Callable[[Task], Answer]] = {
     "believed": believed,
     "randomised": randomised,
     "back_to_reality": back_to_reality,
+    "one_simulation": partial(back_to_reality, ensemble=1),
     "least_squares": least_squares,
     "growth": partial(back_to_reality, grow_from="recordings"),
     "growth_by_fitness": partial(back_to_reality, grow_from="fitness"),
