@@ -131,7 +131,8 @@ class Budget:
       controllers: population of a search for controllers.
       generations: its generations, in each round.
       rounds: times that the real robot is visited.
-      draws: simulations of domain randomisation, and of an ensemble of Back-to-Reality.
+      draws: simulations of domain randomisation.
+      ensemble: simulations for whose mean Back-to-Reality evolves controllers.
       simulations: population of a search for simulations.
       simulation_generations: its generations, in each round.
       jacobians: steps of a least-squares fit, in each round.
@@ -141,6 +142,7 @@ class Budget:
     generations: int = 8
     rounds: int = 3
     draws: int = 8
+    ensemble: int = 8
     simulations: int = 24
     simulation_generations: int = 15
     jacobians: int = 6

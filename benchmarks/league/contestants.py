@@ -154,7 +154,7 @@ def back_to_reality(
         trials=(task.trials - 1) // task.budget.rounds,  # the first controller is a trial, too
         controllers=task.budget.controllers,
         controller_generations=task.budget.generations,
-        ensemble=ensemble or task.budget.draws,
+        ensemble=ensemble or task.budget.ensemble,
         simulations=task.budget.simulations,
         simulation_generations=task.budget.simulation_generations,
         grow=grow_from is not None,
