@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 import btr_mjx as btr
 from btr_mjx.backtoreality import FolderReality, Waiting
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import fitness_function
+from btr_mjx.evaluation import Engine, fitness_function
 from btr_mjx.gap.data import Recording
 from btr_mjx.optimise import GAConfig, GeneticAlgorithm
 from btr_mjx.robots import Robot
@@ -132,6 +132,7 @@ class Budget:
       generations: its generations, in each round.
       rounds: times that the real robot is visited.
       draws: simulations of domain randomisation.
+      ensemble: simulations for whose mean Back-to-Reality evolves controllers.
       simulations: population of a search for simulations.
       simulation_generations: its generations, in each round.
       jacobians: steps of a least-squares fit, in each round.
@@ -141,6 +142,7 @@ class Budget:
     generations: int = 8
     rounds: int = 3
     draws: int = 8
+    ensemble: int = 8
     simulations: int = 24
     simulation_generations: int = 15
     jacobians: int = 6
@@ -186,7 +188,13 @@ class Answer:
 
 def predicted(robot: Robot, simulations: np.ndarray, controllers: np.ndarray) -> np.ndarray:
     """Fitness (M,) of controllers (M, n_c), the mean over simulations (L, n_s); NaN where one diverged."""
-    return btr.evaluate(robot, simulations, controllers, engine="native", fitness=robot.fitness).fitness.mean(axis=0)
+    found = btr.evaluate(robot, simulations, controllers, engine=engine_of(robot), fitness=robot.fitness)
+    return found.fitness.mean(axis=0)
+
+
+def engine_of(robot: Robot) -> Engine:
+    """The engine of all contestants; a simulator of a robot's own counts as native."""
+    return "lanes" if robot.simulator is None else "native"
 
 
 def evolved(

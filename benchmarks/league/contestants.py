@@ -9,7 +9,7 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from contest import Answer, Task, best_index, coded, evolved
+from contest import Answer, Task, best_index, coded, engine_of, evolved
 
 import btr_mjx as btr
 from btr_mjx.backtoreality import CoevolveConfig, begin, build_problem, grown, select_transferable
@@ -47,7 +47,7 @@ def _listed(task: Task) -> Robot:
         if own.effect.name in LISTED and not own.place.members
         for p in own.parameters
     ]
-    problem = build_problem(CoevolveConfig(unknown=task.unknown, truth=(), engine="native"), task.robot)
+    problem = build_problem(CoevolveConfig(unknown=task.unknown, truth=()), task.robot)
     return grown(problem, entries).robot
 
 
@@ -118,7 +118,11 @@ def _fitted(task: Task, robot: Robot, simulation: np.ndarray) -> np.ndarray:
         simulations = np.tile(simulation, (len(points), 1))
         simulations[:, at] = np.clip(own.low + points * own.span, own.low, own.high)
         trials = btr.evaluate(
-            *(robot, simulations, controllers[rows]), engine="native", fitness=robot.fitness, times=times, states=True
+            *(robot, simulations, controllers[rows]),
+            engine=engine_of(robot),
+            fitness=robot.fitness,
+            times=times,
+            states=True,
         )
         assert trials.outcome.qpos is not None
         return np.nan_to_num(trials.outcome.qpos - measured, nan=10.0).reshape(len(points), -1)
@@ -135,19 +139,22 @@ def _fitted(task: Task, robot: Robot, simulation: np.ndarray) -> np.ndarray:
     return out
 
 
-def back_to_reality(task: Task, grow_from: Literal["recordings", "fitness"] | None = None) -> Answer:
-    """Back-to-Reality: CMA-ES on what is unknown, from fitness; with growth where data of it are named."""
+def back_to_reality(
+    task: Task, grow_from: Literal["recordings", "fitness"] | None = None, ensemble: int | None = None
+) -> Answer:
+    """Back-to-Reality: ensembles, and CMA-ES on what is unknown, from fitness; growth where data of it are named."""
     config = CoevolveConfig(
         unknown=task.unknown,
         reality="folder",
         exchange=task.reality.folder,
-        engine="native",
+        engine=engine_of(task.robot),
         fitness=task.robot.fitness,
         optimiser="cma",
         iterations=task.budget.rounds,
         trials=(task.trials - 1) // task.budget.rounds,  # the first controller is a trial, too
         controllers=task.budget.controllers,
         controller_generations=task.budget.generations,
+        ensemble=ensemble or task.budget.ensemble,
         simulations=task.budget.simulations,
         simulation_generations=task.budget.simulation_generations,
         grow=grow_from is not None,
@@ -180,6 +187,7 @@ CONTESTANTS: Mapping[str, Callable[[Task], Answer]] = {
     "believed": believed,
     "randomised": randomised,
     "back_to_reality": back_to_reality,
+    "one_simulation": partial(back_to_reality, ensemble=1),
     "least_squares": least_squares,
     "growth": partial(back_to_reality, grow_from="recordings"),
     "growth_by_fitness": partial(back_to_reality, grow_from="fitness"),

@@ -2,7 +2,7 @@
 
 Iteration i:
   1. Controller search: a population of M controllers, made from c_(i-1) by bit flips or in iteration 1 at random, is
-     evolved for a few generations in the best simulation s_(i-1).
+     evolved for a few generations in the best simulation s_(i-1), or for the mean of those that are still possible.
   2. Selection, transfer, test: the m best are tried in reality; the one that is best in reality becomes c_i.
   3. Simulation search: a population of L simulations around s_(i-1) is evolved to minimise Delta_fitness; see
      `simulation_search`.
@@ -12,7 +12,6 @@ returns the state after it. The caller can save the state between pieces; a resu
 bit.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -20,31 +19,20 @@ from typing import Any
 import numpy as np
 
 from btr_mjx.backtoreality import simulation_search
-from btr_mjx.backtoreality.controller_search import select_transferable
+from btr_mjx.backtoreality.controller_search import search_controllers
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import calibration_delta, missing_effects
 from btr_mjx.backtoreality.run_state import Phase, Problem, State, Trials
+from btr_mjx.backtoreality.search_record import Report, after_generation, archive_of, best_index, generation_row
 from btr_mjx.backtoreality.simulation_search import (
-    counting_trials,
     delta_of_simulations,
-    genetic_algorithm,
     whole_trial_delta,
 )
-from btr_mjx.backtoreality.told_words import told_by_plan, told_by_trials, told_sentence
-from btr_mjx.backtoreality.trial_information import informative
+from btr_mjx.backtoreality.told_words import told_record, told_sentence
+from btr_mjx.backtoreality.trial_information import told_by_trials
 from btr_mjx.errors import InputError
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.models import base_model
-from btr_mjx.optimise import GAState, GeneticAlgorithm
-
-Report = Callable[[str, dict[str, Any]], None]
-"""Callback for results, with their kind.
-
-It is "generation" or "iteration", with a row of a table; "planned", with what the first trials can tell; "growth",
-with an entry of `State.sought`; "seeking", with the phase of a search for a missing effect; or "archive" at the end of
-a search, with iteration, phase, part (2 for step 3 in a simulator that grew in this iteration), and genomes (g,
-population, bits) and scores (g, population) of all generations.
-"""
 
 
 def begin(problem: Problem, genome: np.ndarray | None = None) -> State:
@@ -67,7 +55,8 @@ def begin(problem: Problem, genome: np.ndarray | None = None) -> State:
     _check_marks(problem)
     marks = np.zeros((0, len(problem.times) - 1))
     trials = Trials(np.zeros((0, box.n)), np.zeros(0), marks, np.zeros(0), np.zeros(0, int))
-    return State("baseline", 1, start, first, trials)
+    others = problem.embed(problem.simulation_box.sample(problem.rng(0, 1), problem.settings.ensemble - 1))
+    return State("baseline", 1, start, np.concatenate([start[None], others]), first, trials)
 
 
 def advance(problem: Problem, state: State, report: Report | None = None, counter: Counter | None = None) -> State:
@@ -105,45 +94,6 @@ def try_first_controller(problem: Problem, state: State) -> State:
     f_s = problem.simulate(state.simulation[None], controllers)[0]
     measured = problem.reality.measure(controllers, len(state.trials), problem.times)
     return replace(state, phase="controllers", trials=state.trials.add(controllers, measured, f_s, 0))
-
-
-def search_controllers(problem: Problem, state: State, report: Report) -> State:
-    """Step 1, one generation: evolve controllers in s_(i-1)."""
-    settings, box = problem.settings.step_1, problem.controller_box
-    algorithm = genetic_algorithm(box, settings, maximise=problem.fitness.maximise)
-    genomes, search = algorithm.ask(state.search or _first_population(problem, state, algorithm))
-    scores = problem.simulate(state.simulation[None], box.decode(genomes))[0]
-    state = _after_generation(state, algorithm.tell(search, genomes, scores), genomes, scores)
-    report("generation", _generation_row(state, "controllers", scores, problem.fitness.maximise))
-    if len(state.scores) < settings.generations:
-        return state
-    report("archive", _archive(state, "controllers"))
-    genomes, scores = _chosen(problem, state)
-    if state.iteration == 1 and len(genomes):
-        report("planned", {"told": told_by_plan(problem, state.simulation, box.decode(genomes))})
-    return replace(state, phase="transfer", search=None, genomes=genomes[None], scores=scores[None])
-
-
-def _first_population(problem: Problem, state: State, algorithm: GeneticAlgorithm) -> GAState:
-    """The state with which step 1 begins, see `BTRSettings.first_population`."""
-    rng = problem.rng(state.iteration, 1)
-    if state.iteration > 1 or problem.settings.first_population == "mutants":
-        return algorithm.init(rng, genome=state.genome)
-    drawn = algorithm.init(rng)
-    return replace(drawn, parents=np.concatenate([state.genome[None], drawn.parents[1:]]))
-
-
-def _chosen(problem: Problem, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Genomes (m, bits) of the controllers that are tried, and their fitness in simulation."""
-    settings, maximise = problem.settings, problem.fitness.maximise
-    if settings.choose == "informative":
-        last = select_transferable(state.genomes[-1:], state.scores[-1:], settings.controllers, maximise)
-        if len(last[0]) > settings.trials:
-            tried = state.trials.controllers[counting_trials(problem, state.trials, state.iteration)]
-            candidates = problem.controller_box.decode(last[0])
-            order = informative(problem, state.simulation, tried, candidates)[: settings.trials]
-            return last[0][order], last[1][order]
-    return select_transferable(state.genomes, state.scores, settings.trials, maximise)
 
 
 def test_in_reality(problem: Problem, state: State) -> State:
@@ -184,11 +134,11 @@ def search_simulations(problem: Problem, state: State, report: Report) -> State:
     simulations = problem.embed(problem.simulation_box.decode(genomes))
     scores = delta_of_simulations(problem, simulations, state.trials, state.iteration)
     search = simulation_search.tell_simulations(problem, search, genomes, scores)
-    state = _after_generation(state, search, genomes, scores)
-    report("generation", _generation_row(state, "simulations", scores, False))
+    state = after_generation(state, search, genomes, scores)
+    report("generation", generation_row(state, "simulations", scores, False))
     if not simulation_search.finished(problem, state):
         return state
-    report("archive", _archive(state, "simulations"))
+    report("archive", archive_of(state, "simulations"))
     return _finish_iteration(problem, state, report)
 
 
@@ -212,6 +162,8 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
     if after >= state.delta_before:
         simulation, after = state.simulation, state.delta_before
     told = told_by_trials(problem, simulation, state.trials, state.iteration)
+    record = told_record(told, box)
+    others = told.possible(problem.rng(state.iteration, 4), settings.ensemble - 1)
     latest = state.trials.iteration == state.iteration
     chosen = best_index(np.where(latest, state.trials.f_r, np.nan), problem.fitness.maximise)
     report(
@@ -226,7 +178,7 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
             "f_r_mean": float(np.nanmean(state.trials.f_r[latest])),
             "evaluations": len(state.trials),
             "simulation": simulation,
-            "told": told_sentence(told, problem.simulation_box),
+            "told": told_sentence(record, box),
         },
     )
     stop = ""
@@ -239,20 +191,16 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
     state = replace(
         state,
         simulation=simulation,
+        ensemble=np.concatenate([simulation[None], problem.embed(box.low + box.span * others)]),
         search=None,
         genomes=state.genomes[:0],
         scores=state.scores[:0],
         stop=stop,
-        told=told,
+        told=record,
     )
-    if len(state.grown) < settings.most_effects and not _sought_here(state):
+    if len(state.grown) < settings.most_effects and not state.sought_here:
         return replace(state, phase="growth", delta_before=after)
     return _next_iteration(state)
-
-
-def _sought_here(state: State) -> bool:
-    """Whether a missing effect was looked for in this iteration."""
-    return any(row["iteration"] == state.iteration for row in state.sought)
 
 
 def _next_iteration(state: State) -> State:
@@ -291,32 +239,3 @@ def seek_missing_effect(problem: Problem, state: State, report: Report, counter:
         grown=(*state.grown, *entries),
         sought=(*state.sought, row),
     )
-
-
-def _after_generation(state: State, search: GAState | None, genomes: np.ndarray, scores: np.ndarray) -> State:
-    first = not len(state.scores)
-    return replace(
-        state,
-        search=search,
-        genomes=genomes[None] if first else np.concatenate([state.genomes, genomes[None]]),
-        scores=scores[None] if first else np.concatenate([state.scores, scores[None]]),
-    )
-
-
-def _generation_row(state: State, phase: str, scores: np.ndarray, maximise: bool) -> dict[str, Any]:
-    finite = scores[np.isfinite(scores)]
-    top, bottom = (np.max, np.min) if maximise else (np.min, np.max)
-    best, mean, worst = (float(of(finite)) if len(finite) else np.nan for of in (top, np.mean, bottom))
-    row = {"iteration": state.iteration, "phase": phase, "generation": len(state.scores)}
-    return row | {"best": best, "mean": mean, "worst": worst, "diverged": int(len(scores) - len(finite))}
-
-
-def _archive(state: State, phase: str) -> dict[str, Any]:
-    part = 1 + (phase == "simulations" and _sought_here(state))
-    archive = {"iteration": state.iteration, "phase": phase, "part": part}
-    return archive | {"genomes": state.genomes, "scores": state.scores}
-
-
-def best_index(values: np.ndarray, maximise: bool) -> int:
-    """Index of the best finite value."""
-    return int(np.nanargmax(values) if maximise else np.nanargmin(values))

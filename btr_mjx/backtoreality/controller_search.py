@@ -1,12 +1,57 @@
-"""Controller search in one simulation: step 1 of Back-to-Reality, and the selection of step 2."""
+"""Controller search: step 1 of Back-to-Reality, and the selection of step 2."""
+
+from dataclasses import replace
 
 import numpy as np
 
-from btr_mjx.backtoreality.run_state import Progress
+from btr_mjx.backtoreality.run_state import Problem, Progress, State
+from btr_mjx.backtoreality.search_record import Report, after_generation, archive_of, generation_row
 from btr_mjx.backtoreality.settings import SearchSettings
-from btr_mjx.backtoreality.simulation_search import genetic_algorithm
+from btr_mjx.backtoreality.simulation_search import counting_trials, genetic_algorithm
+from btr_mjx.backtoreality.told_words import told_by_plan
+from btr_mjx.backtoreality.trial_information import informative
 from btr_mjx.evaluation import DISTANCE, Engine, FitnessLike, evaluate, fitness_function
+from btr_mjx.optimise import GAState, GeneticAlgorithm
 from btr_mjx.robots import Robot
+
+
+def search_controllers(problem: Problem, state: State, report: Report) -> State:
+    """Step 1, one generation: evolve controllers for the mean of the ensemble, that is in s_(i-1) where it is one."""
+    settings, box = problem.settings.step_1, problem.controller_box
+    algorithm = genetic_algorithm(box, settings, maximise=problem.fitness.maximise)
+    genomes, search = algorithm.ask(state.search or _first_population(problem, state, algorithm))
+    scores = problem.simulate(state.ensemble, box.decode(genomes)).mean(axis=0)
+    state = after_generation(state, algorithm.tell(search, genomes, scores), genomes, scores)
+    report("generation", generation_row(state, "controllers", scores, problem.fitness.maximise))
+    if len(state.scores) < settings.generations:
+        return state
+    report("archive", archive_of(state, "controllers"))
+    genomes, scores = _chosen(problem, state)
+    if state.iteration == 1 and len(genomes):
+        report("planned", {"told": told_by_plan(problem, state.simulation, box.decode(genomes))})
+    return replace(state, phase="transfer", search=None, genomes=genomes[None], scores=scores[None])
+
+
+def _first_population(problem: Problem, state: State, algorithm: GeneticAlgorithm) -> GAState:
+    """The state with which step 1 begins, see `BTRSettings.first_population`."""
+    rng = problem.rng(state.iteration, 1)
+    if state.iteration > 1 or problem.settings.first_population == "mutants":
+        return algorithm.init(rng, genome=state.genome)
+    drawn = algorithm.init(rng)
+    return replace(drawn, parents=np.concatenate([state.genome[None], drawn.parents[1:]]))
+
+
+def _chosen(problem: Problem, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Genomes (m, bits) of the controllers that are tried, and their fitness in simulation."""
+    settings, maximise = problem.settings, problem.fitness.maximise
+    if settings.choose == "informative":
+        last = select_transferable(state.genomes[-1:], state.scores[-1:], settings.controllers, maximise)
+        if len(last[0]) > settings.trials:
+            tried = state.trials.controllers[counting_trials(problem, state.trials, state.iteration)]
+            candidates = problem.controller_box.decode(last[0])
+            order = informative(problem, state.simulation, tried, candidates)[: settings.trials]
+            return last[0][order], last[1][order]
+    return select_transferable(state.genomes, state.scores, settings.trials, maximise)
 
 
 def evolve_controllers(

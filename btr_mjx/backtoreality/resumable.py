@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.backtoreality.algorithm import Report, advance, begin
+from btr_mjx.backtoreality.algorithm import advance, begin
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.reality import SimulatedReality, Waiting
 from btr_mjx.backtoreality.run_state import Phase, Problem, State, state_from_arrays, state_to_arrays
+from btr_mjx.backtoreality.search_record import Report
 from btr_mjx.backtoreality.trial_information import slope_simulations
 from btr_mjx.gap.simulate import Journal, followed_search
 from btr_mjx.models import robot_digest
@@ -141,7 +142,7 @@ def _pairs_left(problem: Problem, state: State, step_3: float = 1) -> float:
         behaviours = settings.trials * (iteration if settings.behaviours == "all" else 1)
         done = len(state.scores) if iteration == state.iteration and state.phase != "transfer" else 0
         if iteration > state.iteration or state.phase in ("baseline", "controllers"):
-            left += settings.controllers * (settings.controller_generations - done) + behaviours
+            left += settings.ensemble * settings.controllers * (settings.controller_generations - done) + behaviours
             done = 0
         left += step_3 * settings.simulations * behaviours * (settings.simulation_generations - done)
         left += slopes * behaviours

@@ -92,7 +92,7 @@ class Trials:
       controllers: (n, n_c).
       f_r: (n,) fitness in reality.
       f_marks: (n, K) fitness in reality as if the trial had ended at each mark; K is 0 for Delta_fitness.
-      f_s: (n,) fitness in the simulation in which the controller was found.
+      f_s: (n,) fitness in the simulation in which the controller was found, the mean of those of an ensemble.
       iteration: (n,) iteration of the trial, 0 for the first controller c_0.
     """
 
@@ -124,6 +124,7 @@ class State:
       phase: the next piece of work.
       iteration: 1, 2, ...
       simulation: (n_s,) best simulation so far, s_(i-1) until step 3 of iteration i ends.
+      ensemble: (K, n_s) simulations of step 1: s_(i-1), and others that trials leave possible.
       genome: (bits,) of c_(i-1), from which step 1 starts.
       trials: all evaluations in reality.
       search: state of the present search, None between searches.
@@ -133,12 +134,13 @@ class State:
       stop: the stop criterion that was met, "" before.
       grown: effects that were added to the simulator, as JSON-able values; see `growth.grown`.
       sought: growth events so far: iteration, verdict, what was added and Delta_fitness.
-      told: what the trials of the last iteration that ended tell, see `told_words.told_by_trials`.
+      told: what the trials of the last iteration that ended tell, see `told_words.told_record`.
     """
 
     phase: Phase
     iteration: int
     simulation: np.ndarray
+    ensemble: np.ndarray
     genome: np.ndarray
     trials: Trials
     search: GAState | None = None
@@ -150,11 +152,17 @@ class State:
     sought: tuple[dict[str, Any], ...] = ()
     told: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def sought_here(self) -> bool:
+        """Whether a missing effect was looked for in this iteration."""
+        return any(row["iteration"] == self.iteration for row in self.sought)
+
 
 def state_to_arrays(state: State) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """A state as named arrays and JSON-able values; the inverse of `state_from_arrays`."""
     arrays = {
         "simulation": state.simulation,
+        "ensemble": state.ensemble,
         "genome": state.genome,
         "genomes": state.genomes,
         "scores": state.scores,
@@ -177,6 +185,7 @@ def state_from_arrays(arrays: Mapping[str, np.ndarray], values: Mapping[str, Any
         phase=values["phase"],
         iteration=values["iteration"],
         simulation=arrays["simulation"],
+        ensemble=arrays["ensemble"],
         genome=arrays["genome"],
         trials=Trials(**part("trials/")),
         search=ga_state_from_arrays(search) if search else None,

@@ -107,6 +107,9 @@ class BTRSettings:
     """Generations of step 1."""
     first_population: Literal["random", "mutants"] = "random"
     """Controllers with which iteration 1 begins: random ones and the first controller, or mutants of it (the paper)."""
+    ensemble: int = 1
+    """K, simulations over which the fitness of a controller is averaged in step 1: s_(i-1) and others that trials leave
+    possible, before the first ones anywhere in the range of what is unknown. 1: s_(i-1) alone (the paper)."""
     p_m: float = 0.02
     """Probability per bit of flipping a controller's bit."""
     controller_bits: int = 8
@@ -184,7 +187,7 @@ MAX_POPULATION = 1_000_000
 _RANGES: Mapping[str, tuple[float, float]] = {
     "seed": (0, 2**63 - 1),
     "grid": (2, MAX_POPULATION),
-    **dict.fromkeys(("trials", "controllers", "simulations"), (1, MAX_POPULATION)),
+    **dict.fromkeys(("trials", "controllers", "ensemble", "simulations"), (1, MAX_POPULATION)),
     **dict.fromkeys(("iterations", "generations", "controller_generations", "simulation_generations"), (1, 10**6)),
     "max_evaluations": (1, 2**63 - 1),
     "max_effects": (0, 100),
@@ -225,7 +228,7 @@ def _pairs(config: Any) -> int:
 
     if hasattr(config, "grid"):
         return value("controllers") * value("generations") + value("trials") * (value("grid") + 1)
-    step_1 = value("controllers") * value("controller_generations")
+    step_1 = value("ensemble") * value("controllers") * value("controller_generations")
     step_3 = value("simulations") * value("simulation_generations") * value("trials") * value("iterations")
     return value("iterations") * (step_1 + step_3)
 

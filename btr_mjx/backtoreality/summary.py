@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.backtoreality.algorithm import best_index
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
 from btr_mjx.backtoreality.run_state import Problem, State
+from btr_mjx.backtoreality.search_record import best_index
 from btr_mjx.backtoreality.simulation_search import whole_trial_delta
 from btr_mjx.evaluation import learning_performance
 from btr_mjx.gap.results import format_number
@@ -32,7 +32,7 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
       _last: mean absolute error of the unknown parameters, None for a reality that is not simulated. The fitness
       function's name, unit and direction; bounds and units of the unknown parameters (space). reality_evaluations, lp
       (learning performance) and its terms, the simulation, what the trials tell of it (told, see
-      `told_words.told_by_trials`), the best controller, the stop criterion that was met, and
+      `told_words.told_record`), the best controller, the stop criterion that was met, and
       the noise of a single measurement where trials were measured more than once.
     """
     original, problem = problem, grown(problem, state.grown)

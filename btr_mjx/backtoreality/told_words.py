@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.backtoreality.run_state import Problem, Trials
-from btr_mjx.backtoreality.simulation_search import counting_trials
+from btr_mjx.backtoreality.run_state import Problem
 from btr_mjx.backtoreality.trial_information import (
     LEVEL,
     PLANNED_SCATTER,
@@ -19,28 +18,14 @@ from btr_mjx.gap.results import format_number
 from btr_mjx.robots import Box
 
 
-def told_by_trials(problem: Problem, simulation: np.ndarray, trials: Trials, iteration: int) -> dict[str, Any]:
-    """What the trials that step 3 compared tell of the unknown numbers, beside the simulation (n_s,) that it found.
+def told_record(told: Told, box: Box) -> dict[str, Any]:
+    """What trials tell of the numbers of a box, JSON-able.
 
     Returns:
-      JSON-able: `intervals`, unknown number -> [low, high] in its unit, which holds the simulation's value; `told`,
-      names of those that are told, while the interval of the others is their range; `combinations`, sentences on
-      others of which only a combination is told.
+      `intervals`, unknown number -> [low, high] in its unit, which holds the simulation's value; `told`, names of those
+      that are told, while the interval of the others is their range; `combinations`, sentences on others of which only
+      a combination is told.
     """
-    use = counting_trials(problem, trials, iteration)
-    slopes = fitness_slopes(problem, simulation, trials.controllers[use])
-    known = 0.0
-    if problem.settings.compared == "fitness":
-        real, scale, noise = trials.f_r[use][:, None], np.ones(1), getattr(problem.reality, "noise", np.nan)
-        if getattr(problem.reality, "truth", None) is None and np.isfinite(noise):
-            known = float(noise)
-    else:
-        real = trials.f_marks[use]
-        scale = 1 / np.maximum(real.std(axis=0), np.finfo(float).tiny)
-    weight = np.tile(scale, len(real))
-    residual = (slopes.values - real.reshape(-1)) * weight
-    box = problem.simulation_box
-    told = told_by(slopes.weighted(weight), residual, shares_of(problem, simulation), known)
     ends = (told.interval * box.span + box.low).tolist()
     return {
         "intervals": {name: [a, b] for name, a, b in zip(box.names, *ends, strict=True)},
@@ -63,7 +48,7 @@ def told_by_plan(problem: Problem, simulation: np.ndarray, controllers: np.ndarr
 
 
 def told_sentence(told: Mapping[str, Any], box: Box) -> str:
-    """What trials tell, of a record of `told_by_trials` and the box of the unknown numbers."""
+    """What trials tell, by `told_record` and the box of the unknown numbers."""
     parts = []
     for name in told["told"]:
         low, high = (format_number(value) for value in told["intervals"][name])

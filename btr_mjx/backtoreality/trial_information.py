@@ -19,8 +19,8 @@ from statistics import NormalDist
 import numpy as np
 import scipy
 
-from btr_mjx.backtoreality.run_state import Problem
-from btr_mjx.backtoreality.simulation_search import compared_fitness
+from btr_mjx.backtoreality.run_state import Problem, Trials
+from btr_mjx.backtoreality.simulation_search import compared_fitness, counting_trials
 
 SLOPE_STEPS = (0.3, 0.15, 0.075)
 """Steps of finite differences, as shares of a number's range; each also takes the values at half of it. With the widest
@@ -111,6 +111,10 @@ class Told:
         low, high = self.estimate - self.reach, self.estimate + self.reach
         return np.array([np.minimum(low, self.at), np.maximum(high, self.at)])
 
+    def possible(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """(count, p) random numbers that trials leave possible, within the ranges."""
+        return np.clip(rng.multivariate_normal(self.estimate, self.covariance, count), 0.0, 1.0)
+
     def combinations(self) -> dict[tuple[int, ...], list[np.ndarray]]:
         """Numbers that are not told each by itself -> their shares in directions that are told."""
         variance, directions = np.linalg.eigh(self.covariance)
@@ -192,6 +196,23 @@ def told_by(slopes: Slopes, residual: np.ndarray, at: np.ndarray, noise: float =
         if not smaller.any():
             return told
         size = size + smaller
+
+
+def told_by_trials(problem: Problem, simulation: np.ndarray, trials: Trials, iteration: int) -> Told:
+    """What the trials that step 3 compared tell of the unknown numbers, beside the simulation (n_s,) that it found."""
+    use = counting_trials(problem, trials, iteration)
+    slopes = fitness_slopes(problem, simulation, trials.controllers[use])
+    known = 0.0
+    if problem.settings.compared == "fitness":
+        real, scale, noise = trials.f_r[use][:, None], np.ones(1), getattr(problem.reality, "noise", np.nan)
+        if getattr(problem.reality, "truth", None) is None and np.isfinite(noise):
+            known = float(noise)
+    else:
+        real = trials.f_marks[use]
+        scale = 1 / np.maximum(real.std(axis=0), np.finfo(float).tiny)
+    weight = np.tile(scale, len(real))
+    residual = (slopes.values - real.reshape(-1)) * weight
+    return told_by(slopes.weighted(weight), residual, shares_of(problem, simulation), known)
 
 
 def informative(problem: Problem, simulation: np.ndarray, tried: np.ndarray, candidates: np.ndarray) -> list[int]:

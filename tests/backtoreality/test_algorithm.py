@@ -12,6 +12,7 @@ from btr_mjx.backtoreality import (
     SearchSettings,
     SimulatedReality,
     State,
+    select_transferable,
 )
 from btr_mjx.backtoreality import algorithm as btr
 from btr_mjx.backtoreality.run_state import Trials, state_from_arrays, state_to_arrays
@@ -83,6 +84,22 @@ def test_the_population_with_which_step_1_begins(problem: Problem, first: Litera
         assert (population[1:] != population[0]).mean() == pytest.approx(share, abs=error)
 
 
+def test_step_1_takes_the_mean_over_simulations_that_are_possible(problem: Problem) -> None:
+    problem = dataclasses.replace(problem, settings=dataclasses.replace(SETTINGS, ensemble=4, optimiser="cma"))
+    first = btr.begin(problem)
+    state, rows = run(problem)
+    archive = rows["archive"][0]
+    for genome, score in zip(archive["genomes"][1], archive["scores"][1], strict=True):
+        controller = problem.controller_box.decode(genome[None])
+        alone = [evaluate(problem.robot, [own], controller, engine="native").fitness[0, 0] for own in first.ensemble]
+        assert score == pytest.approx(np.mean(alone), rel=1e-12)
+    box, unknown = problem.robot.simulation_box, problem.robot.simulation_box.indices(problem.unknown)
+    for now, best in ((first, problem.start), (state, state.simulation)):
+        np.testing.assert_array_equal(now.ensemble[0], best)
+        np.testing.assert_array_equal(np.delete(now.ensemble, unknown, 1), np.delete(np.tile(best, (4, 1)), unknown, 1))
+        assert len(np.unique(box.validate(now.ensemble, "ensemble"), axis=0)) == 4
+
+
 def test_step_2_tries_the_best_of_the_last_generation(problem: Problem) -> None:
     state, rows = run(problem)
     last = rows["archive"][0]
@@ -133,7 +150,7 @@ def test_the_truth_as_start_is_kept(problem: Problem) -> None:
 
 @pytest.mark.parametrize("optimiser", ["ga", "cma"])
 def test_resuming_after_any_piece_gives_the_same_end(problem: Problem, optimiser: Literal["ga", "cma"]) -> None:
-    problem = dataclasses.replace(problem, settings=dataclasses.replace(SETTINGS, optimiser=optimiser))
+    problem = dataclasses.replace(problem, settings=dataclasses.replace(SETTINGS, optimiser=optimiser, ensemble=2))
     whole, rows = run(problem)
     state, again = btr.begin(problem), []
     while state.phase != "done":
@@ -200,13 +217,13 @@ def genomes(*numbers: int) -> np.ndarray:
 def test_fallback_to_earlier_generations() -> None:
     bits = np.stack([genomes(1, 2, 3, 4), genomes(5, 6, 7, 8), genomes(9, 10, 9, 11)])
     scores = np.array([[4.0, 3.0, 2.0, 1.0], [0.1, np.nan, 0.3, 0.2], [7.0, np.nan, 7.0, 5.0]])
-    chosen, values = btr.select_transferable(bits, scores, 4, maximise=True)
+    chosen, values = select_transferable(bits, scores, 4, maximise=True)
     # 9 and 11 of the last generation (10 diverged, the second 9 is the same controller), then 7 and 8.
     np.testing.assert_array_equal(chosen, genomes(9, 11, 7, 8))
     assert values.tolist() == [7.0, 5.0, 0.3, 0.2]
-    chosen, values = btr.select_transferable(bits, scores, 3, maximise=False)
+    chosen, values = select_transferable(bits, scores, 3, maximise=False)
     assert values.tolist() == [5.0, 7.0, 0.1]
-    chosen, _ = btr.select_transferable(bits[:1], np.full((1, 4), np.nan), 3, maximise=True)
+    chosen, _ = select_transferable(bits[:1], np.full((1, 4), np.nan), 3, maximise=True)
     assert len(chosen) == 0
 
 

@@ -8,8 +8,15 @@ import pytest
 
 from btr_mjx.backtoreality import CoevolveConfig, Problem, build_problem
 from btr_mjx.backtoreality.run_state import Trials
-from btr_mjx.backtoreality.told_words import told_by_plan, told_by_trials, told_sentence
-from btr_mjx.backtoreality.trial_information import SLOPE_STEPS, Slopes, fitness_slopes, informative, told_by
+from btr_mjx.backtoreality.told_words import told_by_plan, told_record, told_sentence
+from btr_mjx.backtoreality.trial_information import (
+    SLOPE_STEPS,
+    Slopes,
+    fitness_slopes,
+    informative,
+    told_by,
+    told_by_trials,
+)
 from btr_mjx.evaluation import FitnessFunction, Outcome
 from btr_mjx.robots import Pairs, Robot
 
@@ -87,18 +94,23 @@ def test_intervals_of_linear_fitness_are_the_closed_form() -> None:
     mean = covariance @ (design.T @ trials.f_r / noise**2 + 12 / SPAN**2 * (LOW + SPAN / 2))
     reach = 1.6448536 * np.sqrt(np.diag(covariance))
     # A simulation as good as the best: one that residuals tell to be wrong counts as one that lacks something.
-    told = told_by_trials(made, mean, trials, 1)
+    found = told_by_trials(made, mean, trials, 1)
+    told = told_record(found, made.simulation_box)
     for name, low, high in zip(made.unknown, mean - reach, mean + reach, strict=True):
         np.testing.assert_allclose(told["intervals"][name], [low, high], rtol=1e-6)
     assert told["told"] == list(made.unknown)
-    lows, highs = np.array(list(told_by_trials(made, at, trials, 1)["intervals"].values())).T
+    possible = LOW + SPAN * found.possible(np.random.default_rng(0), 20000)
+    np.testing.assert_allclose(possible.mean(0), mean, atol=0.05 * noise)
+    np.testing.assert_allclose(np.cov(possible.T), covariance, rtol=0.1)
+    beside = told_record(told_by_trials(made, at, trials, 1), made.simulation_box)
+    lows, highs = np.array(list(beside["intervals"].values())).T
     assert (lows <= np.minimum(at, truth)).all()
     assert (highs >= np.maximum(at, truth)).all()
 
 
 def test_only_the_sum_of_two_numbers_is_told() -> None:
     made, at = problem(Parabola(same=True)), np.array([0.3, 0.5])
-    told = told_by_trials(made, at, trials_of(made, at, 8), 1)
+    told = told_record(told_by_trials(made, at, trials_of(made, at, 8), 1), made.simulation_box)
     assert told["told"] == []
     assert told["combinations"] == ["only ball mass + 0.5 × elbow damping is told"]
     for name, low, span in zip(made.unknown, LOW, SPAN, strict=True):

@@ -99,7 +99,11 @@ def actuator_places(model: mujoco.MjModel, actuators: Sequence[int] | None = Non
 
 
 def _groups(model: mujoco.MjModel, singles: Sequence[Place]) -> list[Place]:
-    """Subtrees with at least two actuated joints, and "all"; each set of members once."""
+    """Subtrees with at least two actuated joints, and "all"; each set of members once.
+
+    Where any joint is actuated, members are: joints without motors, such as those of a boom, are of another kind.
+    """
+    singles = [place for place in singles if place.actuators] or singles
     if len(singles) < 2:
         return []
     everything = _union("all", singles)

@@ -104,6 +104,19 @@ def test_places_of_a_robot() -> None:
     assert not {n for n in names if n.endswith("@all")}
 
 
+def test_groups_are_of_driven_joints() -> None:
+    """A boom has no gears or rotors like those of the leg that it carries."""
+    boom = Path(__file__).parents[3] / "benchmarks/league_robots/hopper/robot.xml"
+    places = {place.label: place for place in joint_places(mujoco.MjModel.from_xml_path(str(boom)))}
+    assert set(places) == {"joint:x", "joint:z", "joint:pitch", "joint:hip", "joint:knee", "all"}
+    assert places["all"].members == ("joint:hip", "joint:knee")
+    loose = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body><joint name="a"/><geom size="1"/>
+        <body><joint name="b"/><geom size="1"/></body></body></worldbody></mujoco>"""
+    )
+    assert joint_places(loose)[-1].members == ("joint:a", "joint:b")
+
+
 def test_null_values_change_nothing() -> None:
     for name in MODELS:
         model = load(name)
