@@ -8,6 +8,7 @@ calibration everywhere and shorter time steps. It runs with growth and without.
 A case is kept when it is done: the same command continues a killed benchmark.
 """
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ import numpy as np
 import tyro
 
 from btr_mjx.backtoreality import CoevolveConfig, SimulatedReality, build_problem, summarise
-from btr_mjx.backtoreality.algorithm import run_in_memory
+from btr_mjx.backtoreality.algorithm import advance, begin
 from btr_mjx.backtoreality.growth import Calibration
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.runs import describe_environment, progress, read_json, write_json
@@ -97,8 +98,13 @@ def case(config: Config, name: str, seed: int, grow: bool) -> dict[str, Any]:
     errors = Calibration(100 + seed)
     real = replace(problem.robot, template=text.replace(old, new), edits=(*problem.robot.edits, errors))
     reality = replace(problem.reality, robot=real)
-    state = run_in_memory(replace(problem, reality=reality))
-    result = summarise(replace(problem, reality=reality), state)
+    problem = replace(problem, reality=reality)
+    state, searches = begin(problem), list[float]()
+    while state.phase != "done":
+        begun, searching = time.process_time(), state.phase == "growth"
+        state = advance(problem, state)
+        searches += [time.process_time() - begun] if searching else []
+    result = summarise(problem, state)
     return {
         "case": name,
         "seed": seed,
@@ -108,6 +114,7 @@ def case(config: Config, name: str, seed: int, grow: bool) -> dict[str, Any]:
         "delta_last": result["delta_fitness_last"],
         "final_gap": abs(result["f_s_best"] - result["f_r_best"]),
         "f_r_best": result["f_r_best"],
+        "cpu_seconds_of_searches": searches,
     }
 
 
@@ -132,6 +139,7 @@ def summary(config: Config, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     grown = [row for row in rows if row["grow"] and row["case"] != "nothing"]
     nulls = [row for row in rows if row["grow"] and row["case"] == "nothing"]
     plain = {(row["case"], row["seed"]): row for row in rows if not row["grow"]}
+    searches = [seconds for row in grown for seconds in row["cpu_seconds_of_searches"]]
     falls = {
         name: [1 - row[name] / plain[row["case"], row["seed"]][name] for row in grown]
         for name in ("delta_last", "final_gap")
@@ -143,6 +151,8 @@ def summary(config: Config, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "added_anything": sum(bool(row["added"]) for row in grown),
         "nulls": len(nulls),
         "nulls_untouched": sum(not row["added"] for row in nulls),
+        "cpu_seconds_of_a_search_median": float(np.median(searches)) if searches else None,
+        "cpu_seconds_of_a_search_most": max(searches, default=None),
         **{f"fall_of_{name}_median": float(np.median(own)) if own else None for name, own in falls.items()},
     }
 
@@ -161,7 +171,7 @@ def main() -> None:
         rows = []
         with progress(total=len(wanted), description=config.robot, unit="runs", show=True) as bar:
             for name, seed, grow in wanted:
-                how = f"{config.iterations}-{config.grow_from if grow else 'plain'}"
+                how = f"{config.first_population}-{config.iterations}-{config.grow_from if grow else 'plain'}"
                 file = config.out / f"{config.robot}-{name.replace(' ', '_')}-{seed}-{how}.json"
                 if not file.is_file():
                     write_json(file, case(config, name, seed, grow))

@@ -124,7 +124,8 @@ def main() -> None:
         cases = []
         seeds = range(config.first_seed, config.first_seed + config.seeds)
         for seed in progress(seeds, description=config.robot, unit="runs", show=True):
-            file = config.out / f"{config.robot}-{config.choose}-{config.iterations}-{config.noise:g}-{seed}.json"
+            how = f"{config.choose}-{config.first_population}-{config.iterations}-{config.noise:g}"
+            file = config.out / f"{config.robot}-{how}-{seed}.json"
             if not file.is_file():
                 write_json(file, case(config, seed))
             cases.append(read_json(file))

@@ -128,6 +128,7 @@ def seek(
     problem: Problem,
     state: State,
     recordings: Sequence[Recording],
+    most: int,
     note: Callable[[str], None] | None = None,
     counter: Counter | None = None,
 ) -> Diagnosis:
@@ -137,6 +138,7 @@ def seek(
       problem: the problem.
       state: with the best simulation.
       recordings: in the order of the trials; the last third is held out.
+      most: effects that may be added: more are not sought.
       note: called with a word on what is being done.
       counter: adds up the simulated steps, see `identify`.
 
@@ -150,7 +152,7 @@ def seek(
     # What is searched in S may move along with an effect.
     believed = unknown_parameters(problem, state.simulation)
     data = Dataset(Path(), model, Path("robot.xml"), "", believed, tuple(split), "cubic")
-    return identify(data, seed=problem.seed, progress=note, counter=counter)
+    return identify(data, max_effects=most, seed=problem.seed, progress=note, counter=counter)
 
 
 def entries_of_diagnosis(diagnosis: Diagnosis, problem: Problem, state: State, most: int) -> list[dict[str, Any]]:
@@ -217,7 +219,7 @@ def missing_effects(
     recordings = record(state.trials.controllers[rows], rows) if record and problem.robot.simulator is None else []
     found, proposed = dict[str, Any](), list[FoundEffect]()
     if len(recordings) >= 2:
-        diagnosis = seek(problem, state, recordings, note, counter)
+        diagnosis = seek(problem, state, recordings, most, note, counter)
         found = {"from": "recordings", "verdict": diagnosis.verdict, "unexplained": list(diagnosis.unexplained)}
         found["ranking"] = [f"{row.effect}@{row.location}" for row in diagnosis.ranking[:5]]
         entries = entries_of_diagnosis(diagnosis, problem, state, most)

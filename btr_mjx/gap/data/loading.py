@@ -218,17 +218,21 @@ def with_bases(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list[
     return [[next(found) if base_unmeasured(one) else one for one in group] for group in groups]
 
 
-def with_imu(recordings: Sequence[Recording]) -> list[Recording]:
+def with_imu(recordings: Sequence[Recording], checkpoint: Callable[[], object] = lambda: None) -> list[Recording]:
     """Recordings whose base and an IMU on it were measured, with the states that agree with both and with the feet.
 
     Returned as they are: recordings without an IMU, those of a robot that touches nothing or whose IMU contradicts the
     pose, and those whose base was estimated when they were read.
+
+    Args:
+      recordings: of one robot.
+      checkpoint: called often; it may raise to stop.
     """
     if not any(one.sensor for one in recordings):
         return list(recordings)
     from btr_mjx.gap.data.base.estimate import sharpened_bases  # slow to load
 
-    return sharpened_bases(recordings)
+    return sharpened_bases(recordings, checkpoint)
 
 
 def _without_lagging_velocities(groups: Sequence[Sequence[Recording]], notes: list[str]) -> list[list[Recording]]:

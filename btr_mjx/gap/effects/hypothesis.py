@@ -27,6 +27,7 @@ class Hypothesis:
     _worlds: dict[int, tuple[mujoco.MjModel, World]] = field(
         default_factory=dict, init=False, repr=False, compare=False, hash=False
     )
+    _shorter: "list[Hypothesis]" = field(default_factory=list, init=False, repr=False, compare=False, hash=False)
 
     def __call__(self, model: mujoco.MjModel) -> World:
         """The world of a recording whose believed model is `model`, made once: it must not be edited."""
@@ -35,20 +36,31 @@ class Hypothesis:
         return self._worlds[id(model)][1]
 
     def _world(self, model: mujoco.MjModel) -> World:
+        world, left = self._begun(model)
+        for candidate, values in left:
+            candidate.apply(world, np.array(values))
+        world.frozen = True
+        world.update_constants()  # at once: the same world is the same to a journal, simulated before or not
+        return world
+
+    def _begun(self, model: mujoco.MjModel) -> tuple[World, Sequence[tuple[Candidate, tuple[float, ...]]]]:
+        """A world to be edited, and the effects that it lacks: the last one, where what is shorter has a world."""
+        for shorter in self._shorter:
+            if id(model) in shorter._worlds:
+                return shorter(model).copy(), self.effects[-1:]
         world = World.of(model)
         for parameter, value in zip(self.parameters, self.believed, strict=True):
             parameter.write(world.model, value)
         if self.parameters:
             mujoco.mj_setConst(world.model, mujoco.MjData(world.model))
-        for candidate, values in self.effects:
-            candidate.apply(world, np.array(values))
-        world.frozen = True
-        return world
+        return world, self.effects
 
     def with_effect(self, candidate: Candidate, values: Sequence[float] | np.ndarray) -> "Hypothesis":
-        """The same with one more effect."""
+        """The same with one more effect; its worlds begin as copies of those of this one that were made before."""
         added = (candidate, tuple(float(value) for value in values))
-        return replace(self, effects=(*self.effects, added))
+        out = replace(self, effects=(*self.effects, added))
+        out._shorter.append(self)
+        return out
 
     @property
     def numbers(self) -> int:

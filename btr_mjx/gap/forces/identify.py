@@ -9,6 +9,7 @@ than two standard errors.
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from btr_mjx.gap.effects import (
 )
 from btr_mjx.gap.forces.answer.found import SearchOutcome
 from btr_mjx.gap.forces.answer.outcome import diagnosis_of, with_tables_told
-from btr_mjx.gap.forces.confirmation import confirmed_chain
+from btr_mjx.gap.forces.confirmation import is_confirmed
 from btr_mjx.gap.forces.final_numbers import last_numbers, without_invisible
 from btr_mjx.gap.forces.held_out import HeldOut, held_out
 from btr_mjx.gap.forces.law_scan import scan_laws
@@ -195,11 +196,11 @@ def search_forces(
         ForceSide(stretches, library, _of_calibration(stretches, library, base, counter), counter), base
     )
     # Drives that were there before do not vanish all at once.
-    rounds, chain = select_effects(side, first, max_effects, progress, laws, drives=known is None)
-    progress("held-out recordings")
-    confirmed = confirmed_chain(test, chain)
+    confirm = partial(is_confirmed, test)
+    rounds, confirmed, contradicted = select_effects(
+        side, first, max_effects, progress, confirm, laws, drives=known is None
+    )
     progress("numbers")
-    contradicted = len(confirmed) < len(chain)
     seen = without_invisible(side, confirmed[-1])
     last, point = last_numbers(side, seen if seen.point.named else confirmed[0], known is None)
     final = [*confirmed[:-1], last] if seen.point.named else [last]

@@ -221,21 +221,24 @@ def select_effects(
     first: Fitted,
     most: int,
     note: Callable[[str], None],
+    is_confirmed: Callable[[Fitted, Fitted], bool],
     laws: Sequence[Candidate] = (),
     drives: bool = True,
-) -> tuple[list[SearchRound], list[Fitted]]:
-    """Search for one effect after another.
+) -> tuple[list[SearchRound], list[Fitted], bool]:
+    """Search for one effect after another, until nothing more pays or one is not confirmed.
 
     Args:
       side: the recordings to fit.
       first: the believed model, see `start`.
       most: largest number of effects.
       note: called with a word on what is being done.
+      is_confirmed: whether what was not fitted bears out the second of two fits, which has one more effect.
       laws: terms of a dictionary at joints.
       drives: whether all drives may lack what they have.
 
     Returns:
-      The rounds, and the fitted points: the believed model, then with one more effect each.
+      The rounds; the fitted points, which are the believed model and then one more confirmed effect each; and whether
+      an effect was not confirmed.
     """
     chain: list[Fitted] = [first]
     rounds: list[SearchRound] = []
@@ -249,8 +252,11 @@ def select_effects(
         # What the new effect makes worthless may be what it is best beside: then they would come and go for ever.
         if any(sorted(names(found.point.named)) == sorted(names(fit.point.named)) for fit in chain):
             break
+        note("held-out recordings")
+        if not is_confirmed(chain[-1], found):
+            return rounds, chain, True
         chain.append(found)
-    return rounds, chain
+    return rounds, chain, False
 
 
 def pruned(side: ForceSide, fit: Fitted, null: Fitted) -> Fitted:

@@ -62,8 +62,7 @@ class Counter:
             self.steps += steps
 
     def store(self, path: Path | None, states: Sequence[np.ndarray], steps: int) -> None:
-        """Store the states (W, K, nq + nv) of jobs in their file and count their steps."""
-        self.add(steps)
+        """Store the states (W, K, nq + nv) of jobs, which took these steps, in their file."""
 
 
 def simulate(
@@ -94,7 +93,10 @@ def simulate(
     out = [np.empty((*segments.times.shape, world.model.nq + world.model.nv)) for world, segments in jobs]
     steps = 0
     for block in batch_blocks(jobs, timestep):
-        steps += _simulate_batch(prepared_batch(block, jobs, timestep, threads), block, out)
+        taken = _simulate_batch(prepared_batch(block, jobs, timestep, threads), block, out)
+        steps += taken
+        if counter is not None:
+            counter.add(taken)
     for (world, _), states in zip(jobs, out, strict=True):
         if world.offset.any():
             nq = world.model.nq

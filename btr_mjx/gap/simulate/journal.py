@@ -73,12 +73,11 @@ class Journal(Counter):
                 self._report(self.steps)
 
     def store(self, path: Path | None, states: Sequence[np.ndarray], steps: int) -> None:
-        """Write the states of jobs to their file and count their steps."""
+        """Write the states of jobs, which took these steps, to their file."""
         assert path is not None
         arrays = {f"states_{i}": own for i, own in enumerate(states)}
         seconds = time.time() - self._begun + self.earlier
         write_arrays(path, arrays | {"steps": steps, "seconds": seconds, "begun": self._begun})
-        self.add(steps)
 
     def close(self) -> None:
         """Remove the files, at the end of a search."""

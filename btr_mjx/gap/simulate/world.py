@@ -56,6 +56,11 @@ class World:
             model, edits, [], np.zeros(model.nv), np.zeros((model.nbody, 6)), np.ones(len(model.actuator_trntype))
         )
 
+    def copy(self) -> "World":
+        """Another world like this one, to be edited."""
+        edits, laws = list(self.command_edits), list(self.laws)
+        return World(copy.copy(self.model), edits, laws, self.offset.copy(), self.wrench.copy(), self.report.copy())
+
     def command(self, command: Command) -> Command:
         """The command that reaches the actuators."""
         for edit in self.command_edits:

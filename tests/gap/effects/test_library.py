@@ -14,6 +14,7 @@ from btr_mjx.gap.effects import (
     EFFECTS,
     KNOWN_EFFECTS,
     Effect,
+    Hypothesis,
     Parameter,
     Scales,
     candidates,
@@ -158,6 +159,22 @@ def test_group_edit_equals_edits_of_members() -> None:
         # A curved command behind a rate limit is taken as a chain of straight parts, which depend on where it is cut.
         tolerance = 3e-3 if candidate.effect.name == "command_rate_limit" else 1e-9
         np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance, err_msg=candidate.name)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_world_that_goes_on_from_another_is_that_of_all_effects(name: str) -> None:
+    """With one more effect than a hypothesis that has its world already, and without; the first world stays."""
+    model, segments = load(name), windows(load(name), count=2)
+    first, *others = candidates(model, Scales.of(model), KNOWN_EFFECTS)
+    shorter = Hypothesis((), ()).with_effect(first, moderate(first))
+    (before,) = simulate([(shorter(model), segments)])
+    for candidate in {(c.effect.name, bool(c.place.members)): c for c in others}.values():
+        longer = shorter.with_effect(candidate, moderate(candidate))
+        anew = Hypothesis((), (), longer.effects)
+        assert differing_fields(longer(model), anew(model).update_constants()) == {}, candidate.name
+        after = simulate([(longer(model), segments), (anew(model), segments), (shorter(model), segments)])
+        np.testing.assert_array_equal(after[0], after[1], candidate.name)
+        np.testing.assert_array_equal(after[2], before, candidate.name)
 
 
 def test_scales_of_measured_states() -> None:

@@ -74,5 +74,5 @@ def test_columns_of_laws_are_what_simulation_says():
 
 def test_damping_is_no_law():
     side, fit, laws = scene(at(1, lambda q, v, t: -0.1 * v))
-    _, chain = select_effects(side, fit, 2, lambda _: None, laws)
+    _, chain, _ = select_effects(side, fit, 2, lambda _: None, lambda *_: True, laws)
     assert [candidate.name for candidate, _ in chain[-1].point.named] == ["viscous_damping@joint:elbow"]

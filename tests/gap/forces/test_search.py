@@ -23,6 +23,6 @@ def test_effects_that_come_and_go_end_the_search(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(search, "one_more", one_more)
     monkeypatch.setattr(search, "pruned", lambda side, found, null: _fit(*turns[found % len(turns)]))
-    rounds, chain = search.select_effects(None, _fit(), 5, lambda _: None)  # type: ignore[arg-type]
+    rounds, chain, _ = search.select_effects(None, _fit(), 5, lambda _: None, lambda *_: True)  # type: ignore[arg-type]
     found = [tuple(c.name for c, _ in fit.point.named) for fit in chain]
     assert len(set(found)) == len(found) == len(rounds)

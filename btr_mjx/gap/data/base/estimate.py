@@ -1,6 +1,6 @@
 """Fills in the states of a base that were not measured, with how well they are known."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -93,7 +93,7 @@ def estimate_bases(recordings: Sequence[Recording], notes: list[str]) -> list[Re
     return [_filled(*row, found.mount, found.late) for row in rows]
 
 
-def sharpened_bases(recordings: Sequence[Recording]) -> list[Recording]:
+def sharpened_bases(recordings: Sequence[Recording], checkpoint: Callable[[], object]) -> list[Recording]:
     """States of bases that were measured, beside an inertial unit on them; see `loading.with_imu`."""
     model = recordings[0].model
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
@@ -104,7 +104,7 @@ def sharpened_bases(recordings: Sequence[Recording]) -> list[Recording]:
     if not whole or any(one.estimate or not imu_columns(names, model, int(free[0])) for one in recordings):
         return list(recordings)
     sources = [_source(one, base) for one in recordings]
-    found = _smoothed(sources)
+    found = _smoothed(sources, checkpoint)
     apart = [_disagreement(own, motion, found) for own, motion in zip(sources, found.motions, strict=True)]
     if np.median(apart) > _AGREES:
         return list(recordings)
@@ -112,9 +112,9 @@ def sharpened_bases(recordings: Sequence[Recording]) -> list[Recording]:
     return [_filled(*row, found.mount, found.late) for row in rows]
 
 
-def _smoothed(sources: Sequence[_Source]) -> BaseMotions:
+def _smoothed(sources: Sequence[_Source], checkpoint: Callable[[], object] = lambda: None) -> BaseMotions:
     rows = [own.unit for own in sources], [own.legs for own in sources]
-    return smoothed_bases(*rows, sources[0].imu.mount, _SHORT)
+    return smoothed_bases(*rows, sources[0].imu.mount, _SHORT, checkpoint)
 
 
 def _pose_of(recording: Recording, base: int, sigma: np.ndarray) -> MeasuredBase:

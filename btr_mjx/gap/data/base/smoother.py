@@ -11,7 +11,7 @@ they lack enters.
 After Bloesch et al. 2012, "State estimation for legged robots": feet and an inertial unit in one filter.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,7 +50,13 @@ class BaseMotions:
     late: float
 
 
-def smoothed_bases(units: Sequence[Unit], legs: Sequence[Legs], mount: Rotation, lag: float) -> BaseMotions:
+def smoothed_bases(
+    units: Sequence[Unit],
+    legs: Sequence[Legs],
+    mount: Rotation,
+    lag: float,
+    checkpoint: Callable[[], object] = lambda: None,
+) -> BaseMotions:
     """Estimate the motion of the base in recordings of one robot.
 
     Args:
@@ -58,6 +64,7 @@ def smoothed_bases(units: Sequence[Unit], legs: Sequence[Legs], mount: Rotation,
       legs: of each recording.
       mount: rotation from the unit's frame to the base's, as the model has it.
       lag: time over which `BaseMotion.within` is a change [s].
+      checkpoint: called often; it may raise to stop.
 
     Returns:
       The motions, with their spread, and what recordings share. Without a pose the delay is none or whole samples.
@@ -66,11 +73,11 @@ def smoothed_bases(units: Sequence[Unit], legs: Sequence[Legs], mount: Rotation,
       LinAlgError: measurements of the unit contradict each other.
     """
     motions = tuple(first_estimate(*pair, mount) for pair in zip(units, legs, strict=True))
-    now, systems, covariance = _settled(units, legs, BaseMotions(motions, mount, 0.0), mount, LATE)
+    now, systems, covariance = _settled(units, legs, BaseMotions(motions, mount, 0.0), mount, LATE, checkpoint)
     if any(unit.pose is None for unit in units):
         interval = float(np.median(np.diff(units[0].time)))
         late = 0.0 if abs(now.late) < _CREEP else round(now.late / interval) * interval
-        now, systems, covariance = _settled(units, legs, replace(now, late=late), mount, _HELD)
+        now, systems, covariance = _settled(units, legs, replace(now, late=late), mount, _HELD, checkpoint)
         now = replace(now, late=late)
     lags = [max(1, round(lag / float(np.median(np.diff(unit.time))))) for unit in units]
     rows = zip(now.motions, systems, lags, strict=True)
@@ -78,7 +85,12 @@ def smoothed_bases(units: Sequence[Unit], legs: Sequence[Legs], mount: Rotation,
 
 
 def _settled(
-    units: Sequence[Unit], legs: Sequence[Legs], now: BaseMotions, mount: Rotation, late: float
+    units: Sequence[Unit],
+    legs: Sequence[Legs],
+    now: BaseMotions,
+    mount: Rotation,
+    late: float,
+    checkpoint: Callable[[], object],
 ) -> tuple[BaseMotions, list[BlockSystem], np.ndarray]:
     """Gauss-Newton steps from an estimate until it stays where it is.
 
@@ -88,6 +100,7 @@ def _settled(
       now: the estimate.
       mount: as the model has it.
       late: standard deviation of the delay around that of the estimate, before the recordings are seen [s].
+      checkpoint: called for each recording in each step.
 
     Returns:
       The estimate, the last systems, and the covariance (4, 4) of what recordings share.
@@ -99,6 +112,7 @@ def _settled(
         systems, after = [], []
         moved = [unit.earlier(now.late) for unit in units]
         for row in zip(moved, legs, points, now.motions, strict=True):
+            checkpoint()
             system, changed = _system(*row, now.mount)
             systems.append(system)
             after.append(changed)

@@ -66,36 +66,38 @@ def touching_points(
     variance_q, variance_v = sigma[joints] ** 2, sigma[model.nv + joints] ** 2
     fixed = model.body_weldid[model.geom_bodyid] == 0
     rows: list[tuple[float, ...]] = []
+    jacobians, turns = list[np.ndarray](), list[np.ndarray]()
     for k in range(len(qpos)):
         data.qpos[:] = qpos[k]
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
-        turn = data.xmat[base].reshape(3, 3)
+        turn = data.xmat[base].reshape(3, 3).copy()
         at = data.xpos[base] + turn @ unit
-        for i in range(data.ncon):
-            contact = data.contact[i]
-            geoms = contact.geom1, contact.geom2
-            if fixed[geoms[0]] == fixed[geoms[1]]:
-                continue
-            own, sign = (geoms[1], 1.0) if fixed[geoms[0]] else (geoms[0], -1.0)
-            away = sign * contact.frame[:3]
-            point = contact.pos + 0.5 * contact.dist * away  # on the robot; MuJoCo's is half way between both
-            mujoco.mj_jac(model, data, jacobian, None, point, model.geom_bodyid[own])
-            by_joints = turn.T @ jacobian[:, joints]
-            covariance = (by_joints * variance_v) @ by_joints.T
-            variance = ((turn.T @ away @ by_joints) ** 2) @ variance_q
-            place, velocity = turn.T @ (point - at), by_joints @ qvel[k, joints]
-            rows.append((k, own, contact.dist, *away, *point, *place, *velocity, variance, *covariance.ravel()))
-    table = np.array(rows).reshape(-1, 25)
+        contact = data.contact
+        sides = fixed[contact.geom]
+        for i in np.flatnonzero(sides[:, 0] != sides[:, 1]).tolist():
+            sign, own = (1.0, 1) if sides[i, 0] else (-1.0, 0)
+            geom, away = int(contact.geom[i, own]), sign * contact.frame[i, :3]
+            point = contact.pos[i] + 0.5 * contact.dist[i] * away  # on the robot; MuJoCo's is half way between both
+            mujoco.mj_jac(model, data, jacobian, None, point, model.geom_bodyid[geom])
+            rows.append((k, geom, contact.dist[i], *away, *point, *at))
+            jacobians.append(jacobian[:, joints])
+            turns.append(turn)
+    table, count = np.array(rows).reshape(-1, 12), len(rows)
+    sample, normal, world = table[:, 0].astype(int), table[:, 3:6], table[:, 6:9]
+    turn = np.array(turns).reshape(count, 3, 3)
+    into = np.swapaxes(turn, 1, 2)  # the frame of the base
+    by_joints = into @ np.array(jacobians).reshape(count, 3, len(joints))
+    along = (into @ normal[..., None])[..., 0]
     return Touching(
-        table[:, 0].astype(int),
+        sample,
         table[:, 1].astype(int),
         table[:, 2],
-        table[:, 3:6],
-        table[:, 6:9],
-        table[:, 9:12],
-        table[:, 12:15],
-        table[:, 15],
-        table[:, 16:].reshape(-1, 3, 3),
+        normal,
+        world,
+        (into @ (world - table[:, 9:])[..., None])[..., 0],
+        (by_joints @ qvel[sample][:, joints, None])[..., 0],
+        np.einsum("ni,nij->nj", along, by_joints) ** 2 @ variance_q,
+        (by_joints * variance_v) @ np.swapaxes(by_joints, 1, 2),
     )

@@ -104,7 +104,8 @@ class Bench:
             if not side:
                 raise InputError(f"{dataset.folder}: no recording is in split {name!r}")
         note("state estimates")
-        dataset = self.dataset = replace(dataset, recordings=tuple(with_imu(dataset.recordings)))
+        recordings = with_imu(dataset.recordings, partial(self.counter.add, 0))
+        dataset = self.dataset = replace(dataset, recordings=tuple(recordings))
         tracks = [track_of(r) for r in dataset.recordings]
         noise = noise_of(dataset)
         self.sigma = np.concatenate([noise.qpos, noise.qvel])
