@@ -4,14 +4,15 @@ The cost is quadratic within a zone of the constraints (an active-set method): a
 minimum for the assumed zones, and the solution is found when the zones at that minimum are the assumed ones. Elliptic
 cones, whose sliding zone is not quadratic, and dry friction also need a line search.
 
-The initial guess is the zones of the last step, which stay valid until a contact changes. It needs about 40 % fewer
-iterations than the zones at the accelerations of the last step.
+The first iteration has the zones of the last step, which stay valid until a contact changes, and goes all the way to
+their minimum. From there on the inertial forces balance known constraint forces, so that a search along a line needs
+the rows of the constraints only.
 
 A world's result does not depend on the other worlds of its chunk: once converged, further iterations reproduce its
 solution bit for bit; with a line search the solution is kept.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 
@@ -21,21 +22,23 @@ from jax import lax
 
 from btr_mjx.engines.lanes_engine.articulated import factorise, solve_factored
 from btr_mjx.engines.lanes_engine.constraints.body_contacts import Coupling, over_slots
-from btr_mjx.engines.lanes_engine.constraints.cones import Cone, Contact, ZoneModel
+from btr_mjx.engines.lanes_engine.constraints.cones import ZoneModel
 from btr_mjx.engines.lanes_engine.constraints.coupled import solve_coupled
 from btr_mjx.engines.lanes_engine.constraints.dof_constraints import DofConstraint
+from btr_mjx.engines.lanes_engine.constraints.points import Contact
 from btr_mjx.engines.lanes_engine.dynamics import System
 from btr_mjx.engines.lanes_engine.kinematics import Motion
-from btr_mjx.engines.lanes_engine.spatial import Spatial, generalised_force, propagate
+from btr_mjx.engines.lanes_engine.spatial import Spatial, propagate
 from btr_mjx.engines.lanes_engine.tree import TreePlan
 from btr_mjx.engines.rewriting import retrace
 from btr_mjx.engines.scalars import (
     Scalar,
     add,
     array,
+    dot,
     group_sum,
-    mul,
     sub,
+    total,
     vadd,
     vsub,
 )
@@ -69,39 +72,43 @@ class ConstraintProblem:
     """All forces along single dofs except constraint forces."""
 
 
-type Zones = list[tuple[jax.Array, ...]]
-"""Per constraint, which of its rows were active in the last step: `flags` bool arrays of the constraint's shape."""
+type RowNumbers = list[list[jax.Array]]
+"""Per constraint, numbers along its rows, each of the constraint's shape: (C,), (G, C), or (K, C) for K slots."""
 
 
-def _law(c: Constraint) -> Cone | DofConstraint:
-    """What a constraint's force depends on."""
-    return c if isinstance(c, DofConstraint) else c.cone
-
-
-def zone_shape(plan: TreePlan, c: Constraint, lanes: int) -> tuple[int, ...]:
-    """Shape of a coefficient of a constraint's zone."""
-    if isinstance(c, Coupling):
-        return c.slots, lanes
-    size = c.link.size if isinstance(c, Contact) else plan.dof_size[c.dof]
-    return (lanes,) if size == 1 else (size, lanes)
-
-
-def zone_flags(c: Constraint) -> int:
-    """Number of flags that describe a constraint's zone, see `Cone.flags`."""
-    return _law(c).flags
-
-
-def _models(constraints: Sequence[Constraint], a: Sequence[jax.Array], links: Sequence[Spatial]) -> list[ZoneModel]:
-    """Zone of every constraint at accelerations `a` of the dofs and `links` of the links."""
-    found = []
+def row_shapes(plan: TreePlan, constraints: Sequence[Constraint], lanes: int) -> list[tuple[int, tuple[int, ...]]]:
+    """Per constraint, the number of its rows and the shape of their numbers."""
+    members = lambda size: () if size == 1 else (size,)  # noqa: E731
+    found: list[tuple[int, tuple[int, ...]]] = []
     for c in constraints:
-        if isinstance(c, DofConstraint):
-            found.append(c.model(a[c.dof]))
-        elif isinstance(c, Contact):
-            found.append(c.cone.model(c.acceleration(links[c.link.index])))
+        if isinstance(c, Coupling):
+            found.append((c.rows, (c.slots, lanes)))
         else:
-            found.append(c.cone.model(c.acceleration(a)))
+            size = plan.dof_size[c.dof] if isinstance(c, DofConstraint) else c.link.size
+            found.append((c.cone.rows, (*members(size), lanes)))
     return found
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Accelerations at which the cost is looked at."""
+
+    dofs: list[jax.Array]
+    short: RowNumbers
+    """What the rows fall short of their references, see `Cone`."""
+
+
+def _point(
+    problem: ConstraintProblem, x: Sequence[Scalar], links: Sequence[Spatial], like: Sequence[jax.Array]
+) -> _Point:
+    """The point of accelerations per dof and of the links that they cause."""
+    a = [array(x_k, g.shape, g.dtype) for x_k, g in zip(x, like, strict=True)]
+    shapes, short = row_shapes(problem.plan, problem.constraints, a[0].shape[-1]), []
+    for c, (count, shape) in zip(problem.constraints, shapes, strict=True):
+        along = c.acceleration(links[c.link.index]) if isinstance(c, Contact) else c.acceleration(a)
+        own = [sub(r, x_k) for r, x_k in zip(c.cone.reference[:count], along[:count], strict=True)]
+        short.append([array(x_k, shape, a[0].dtype) for x_k in own])
+    return _Point(a, short)
 
 
 def _minimum_on_zones(
@@ -129,42 +136,13 @@ def _minimum_on_zones(
     return solve_coupled(factors, couplings, outer, forces, like)
 
 
-def _zones_changed(constraints: Sequence[Constraint], old: Sequence[ZoneModel], new: Sequence[ZoneModel]) -> jax.Array:
-    """Worlds, bool (C,), in which the zone of some constraint has changed."""
-    flags = []
-    for c, before, after in zip(constraints, old, new, strict=True):
-        flag = ~_law(c).same_zone(before, after)
-        if isinstance(c, Coupling):
-            flags.append(jnp.any(flag, axis=0))
-        else:
-            flags += [flag[i] for i in range(flag.shape[0])] if flag.ndim == 2 else [flag]
-    return reduce(jnp.logical_or, flags)
-
-
-def _zones_of_last_step(
-    constraints: Sequence[Constraint], zones: Zones, models: Sequence[ZoneModel]
-) -> list[ZoneModel]:
-    """Zones of the last step for constraints that were active then; `models` for the others."""
-    found: list[ZoneModel] = []
-    for c, flags, model in zip(constraints, zones, models, strict=True):
-        if not flags:
-            found.append(model)
-            continue
-        pushed = reduce(jnp.logical_or, flags)
-        pairs = zip(flags, model, strict=True)
-        found.append(tuple(jnp.where(pushed, jnp.where(flag, _law(c).weight, 0), x) for flag, x in pairs))
-    return found
-
-
 def constrained_acceleration(
-    problem: ConstraintProblem,
-    guess: Sequence[jax.Array],
-    zones: Zones,
-) -> tuple[list[jax.Array], jax.Array, Zones]:
-    """The solution of the constraint problem: accelerations per dof, worlds (C,) that did not converge, and its zones.
+    problem: ConstraintProblem, guess: Sequence[jax.Array], last: RowNumbers
+) -> tuple[list[jax.Array], jax.Array, RowNumbers]:
+    """The solution of the constraint problem: accelerations per dof, worlds (C,) that did not converge, and shortfalls.
 
-    The guess is initial accelerations per dof, (C,) or (G, C); zones are those of the last step, all False at the
-    first.
+    The guess is initial accelerations per dof, (C,) or (G, C). The shortfalls along the rows of all constraints, zero
+    where they do not push, are the zones with which the next step begins: `last` is those of the step before.
     """
     plan, motions, constraints = problem.plan, problem.motions, problem.constraints
     lanes = guess[0].shape[-1]
@@ -172,114 +150,121 @@ def constrained_acceleration(
         factors = factorise(plan, motions, problem.inertia.blocks, problem.inertia.diagonal)
         solution, _ = solve_factored(factors, problem.wrenches, problem.tau)
         return [array(x, g.shape, g.dtype) for x, g in zip(solution, guess, strict=True)], jnp.zeros(lanes, bool), []
-    search = not all(_law(c).quadratic for c in constraints)
-
-    def shaped(models: Sequence[ZoneModel]) -> list[ZoneModel]:
-        shapes = [zone_shape(plan, c, lanes) for c in constraints]
-        return [tuple(array(x, s, guess[0].dtype) for x in model) for model, s in zip(models, shapes, strict=True)]
+    search = not all(c.cone.quadratic for c in constraints)
 
     def body(carry: tuple) -> tuple:
-        count, moving, old, models = carry
-        x, links = _minimum_on_zones(problem, models, guess)
-        a = [array(x_k, g.shape, g.dtype) for x_k, g in zip(x, guess, strict=True)]
-        following = shaped(_models(constraints, a, links))
-        moved = _zones_changed(constraints, models, following)
+        count, moving, a, short, push = carry
+        models = [c.cone.model(own) for c, own in zip(constraints, short, strict=True)]
+        full = _point(problem, *_minimum_on_zones(problem, models, guess), guess)
+        moved = _unsettled(problem, models, full)
         if not search:
-            return count + 1, moved, a, following
+            return count + 1, moved, full.dofs, full.short, push
         # Where the full step keeps its zones it is the solution: the search would find nothing but rounding errors.
         moved = moved & moving
-        length = _step_length(problem, old, a, moved)
-        a = [jnp.where(moving, y + length * (z - y), y) for y, z in zip(old, a, strict=True)]
-        again = shaped(_models(constraints, a, propagate(plan, motions, a)))
-        pairs = zip(models, again, strict=True)
-        following = [tuple(jnp.where(moved, y, x) for x, y in zip(*pair, strict=True)) for pair in pairs]
-        return count + 1, moved & _zones_changed(constraints, models, again), a, following
+        ends = (
+            _End(short, push, _forces(constraints, models, short)),
+            _End(full.short, _forces(constraints, models, full.short), _forces(constraints, None, full.short)),
+        )
+        rest = 1.0 - _step_length(constraints, *ends, moved & (count > 0))
+        go = lambda x, y: jnp.where(moving, y + rest * (x - y), x)  # noqa: E731
+        return count + 1, moved, *jax.tree.map(go, (a, short, push), (full.dofs, full.short, ends[1].balanced))
 
     def searching(carry: tuple) -> jax.Array:
         return jnp.any(carry[1]) & (carry[0] < _MAX_NEWTON)
 
-    start = shaped(_models(constraints, guess, propagate(plan, motions, guess)))
-    if not search:  # with a line search the zones must be those of the initial accelerations
-        start = shaped(_zones_of_last_step(constraints, zones, start))
-    carry = (jnp.int32(0), jnp.ones(lanes, bool), list(guess), start)
+    start = [
+        [jnp.where(reduce(jnp.logical_or, [x != 0 for x in before]), x, y) for x, y in zip(before, own, strict=True)]
+        for before, own in zip(last, _point(problem, guess, propagate(plan, motions, guess), guess).short, strict=True)
+    ]
+    push = jax.tree.map(jnp.zeros_like, start) if search else []
+    carry = (jnp.int32(0), jnp.ones(lanes, bool), list(guess), start, push)
     # The loop takes most of a step's time: a lower threshold than elsewhere pays, at the cost of compile time.
-    _, moved, solution, last = lax.while_loop(searching, retrace(body, threshold=8), carry)
-    pushing = [tuple(x != 0 for x in model[: zone_flags(c)]) for c, model in zip(constraints, last, strict=True)]
+    _, moved, solution, short, _ = lax.while_loop(searching, retrace(body, threshold=8), carry)
+    pushing = [
+        [jnp.where(c.cone.force(c.cone.model(own), own)[0] != 0, x, 0) for x in own]
+        for c, own in zip(constraints, short, strict=True)
+    ]
     return solution, moved, pushing
 
 
-def _summed(plan: TreePlan, c: Constraint, x: Scalar) -> Scalar:
-    """Sum over the members of a constraint's group, or over its slots."""
-    if isinstance(c, Coupling):
-        return over_slots(x)
-    return group_sum(x, plan.dof_size[c.dof] if isinstance(c, DofConstraint) else c.link.size)
-
-
-def _slopes(c: DofConstraint, start: jax.Array, along: jax.Array) -> Callable[[Scalar], tuple[Scalar, Scalar]]:
-    """See `Cone.slopes`."""
-
-    def at(length: Scalar) -> tuple[Scalar, Scalar]:
-        here = add(start, mul(length, along))
-        stiffness, force = c.effect(c.model(here))
-        return mul(along, sub(mul(stiffness, here), force)), mul(stiffness, mul(along, along))
-
-    return at
-
-
-def _step_length(
-    problem: ConstraintProblem, old: Sequence[jax.Array], new: Sequence[jax.Array], wanted: jax.Array
-) -> jax.Array:
-    """Step lengths (C,), relative to the full step from `old` to `new` accelerations per dof, of the least cost.
-
-    They are 1 in worlds in which none is wanted, bool (C,). The zero of the slope is found by Newton's method with
-    bracketing and bisection, starting at the full step.
-    """
-    plan, constraints, inertia, tau = problem.plan, problem.constraints, problem.inertia, problem.tau
-    direction = [y - x for x, y in zip(old, new, strict=True)]
-    at, links = propagate(plan, problem.motions, old), propagate(plan, problem.motions, direction)
-    slope: Scalar = 0.0
-    curve: Scalar = 0.0
-    for link, block, a, d, wrench in zip(plan.links, inertia.blocks, at, links, problem.wrenches, strict=True):
-        f, n = block @ a
-        slope = add(slope, group_sum(generalised_force(d, (vsub(f, wrench[0]), vsub(n, wrench[1]))), link.size))
-        curve = add(curve, group_sum(generalised_force(d, block @ d), link.size))
-    for k, size in enumerate(plan.dof_size):
-        diagonal = inertia.diagonal.get(k, 0.0)
-        slope = add(slope, group_sum(mul(direction[k], sub(mul(diagonal, old[k]), tau.get(k, 0.0))), size))
-        curve = add(curve, group_sum(mul(diagonal, mul(direction[k], direction[k])), size))
-    rays = []
-    for c in constraints:
-        if isinstance(c, Contact):
-            rays.append(c.cone.slopes(c.acceleration(at[c.link.index]), c.acceleration(links[c.link.index])))
-        elif isinstance(c, Coupling):
-            rays.append(c.cone.slopes(c.acceleration(old), c.acceleration(direction)))
+def _unsettled(problem: ConstraintProblem, models: Sequence[ZoneModel], point: _Point) -> jax.Array:
+    """Worlds, bool (C,), in which the forces of some constraint at a point are not those of its zone."""
+    flags = []
+    for c, model, short in zip(problem.constraints, models, point.short, strict=True):
+        flag = ~c.cone.settled(model, short)
+        if isinstance(c, Coupling):
+            flags.append(jnp.any(flag, axis=0))
         else:
-            rays.append(_slopes(c, old[c.dof], direction[c.dof]))
+            flags += [flag[i] for i in range(flag.shape[0])] if flag.ndim == 2 else [flag]
+    return reduce(jnp.logical_or, flags)
 
-    def evaluate(length: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Slope and curvature of the cost at a step length."""
-        first, second = add(slope, mul(length, curve)), curve
-        for c, ray in zip(constraints, rays, strict=True):
-            own = ray(length)
-            first, second = add(first, _summed(plan, c, own[0])), add(second, _summed(plan, c, own[1]))
-        lanes = length.shape
-        return array(first, lanes, length.dtype), array(second, lanes, length.dtype)
+
+def _forces(constraints: Sequence[Constraint], models: Sequence[ZoneModel] | None, short: RowNumbers) -> RowNumbers:
+    """Forces along the rows at shortfalls, in given zones or in those of the shortfalls."""
+    found = []
+    for n, (c, own) in enumerate(zip(constraints, short, strict=True)):
+        force = c.cone.force(models[n] if models else c.cone.model(own), own)
+        found.append([array(f, own[0].shape, own[0].dtype) for f in force[: len(own)]])
+    return found
+
+
+@dataclass(frozen=True)
+class _End:
+    """One end of a line along which the least cost is searched."""
+
+    short: RowNumbers
+    """Shortfalls along the rows."""
+    balanced: RowNumbers
+    """The forces along the rows that balance all other forces."""
+    force: RowNumbers
+    """The forces of the constraints."""
+
+
+def _step_length(constraints: Sequence[Constraint], old: _End, new: _End, wanted: jax.Array) -> jax.Array:
+    """Step lengths (C,), relative to the full step from an `old` to a `new` end, of the least cost.
+
+    They are 1 in worlds in which none is wanted, bool (C,). The slope of the cost is the product of the shortfalls'
+    change and the forces of the constraints minus those that are balanced. Its zero is found by Newton's method with
+    bracketing and bisection, starting where the straight line through the slopes at both ends vanishes.
+    """
+    lanes, dtype = wanted.shape, old.short[0][0].dtype
+    along = jax.tree.map(jnp.subtract, new.short, old.short)
+    change = jax.tree.map(jnp.subtract, new.balanced, old.balanced)
+
+    def summed(values: Iterable[Scalar]) -> jax.Array:
+        """Sum over constraints, and over the members of their groups or over their slots."""
+        found = total(
+            over_slots(x) if isinstance(c, Coupling) else group_sum(x, d[0].shape[0] if d[0].ndim == 2 else 1)
+            for c, d, x in zip(constraints, along, values, strict=True)
+        )
+        return array(found, lanes, dtype)
+
+    def slope(end: _End) -> jax.Array:
+        rows = zip(along, end.force, end.balanced, strict=True)
+        return summed(dot(d, vsub(f, b)) for d, f, b in rows)
+
+    first, last = slope(old), slope(new)
+    wanted = wanted & (jnp.abs(last) > _SLOPE_TOLERANCE * jnp.abs(first))
+    falling = summed(dot(d, f) for d, f in zip(along, old.balanced, strict=True))
+    curve = -summed(dot(d, f) for d, f in zip(along, change, strict=True))
+    rays = [c.cone.slopes(x, d) for c, x, d in zip(constraints, old.short, along, strict=True)]
 
     def newton_step(carry: tuple) -> tuple:
         count, _, length, low, high = carry
-        first, second = evaluate(length)
-        up = first > 0
-        low, high = jnp.where(up, low, length), jnp.where(up, length, high)
-        newton = length - first / jnp.where(second > 0, second, 1.0)
+        one, two = zip(*(ray(length) for ray in rays), strict=True)
+        here, second = summed(one) - falling + length * curve, summed(two) + curve
+        low, high = jnp.where(here > 0, low, length), jnp.where(here > 0, length, high)
+        newton = length - here / jnp.where(second > 0, second, 1.0)
         inside = (newton > low) & (newton < high)
         halved = jnp.where(jnp.isfinite(high), 0.5 * (low + high), 2.0 * length)
-        going = wanted & (jnp.abs(first) > _SLOPE_TOLERANCE * steepest)
+        going = wanted & (jnp.abs(here) > _SLOPE_TOLERANCE * jnp.abs(first))
         return count + 1, going, jnp.where(going, jnp.where(inside, newton, halved), length), low, high
 
     def searching(carry: tuple) -> jax.Array:
         return jnp.any(carry[1]) & (carry[0] < _LINE_ITERATIONS)
 
-    lanes = jnp.ones(old[0].shape[-1], old[0].dtype)
-    steepest = jnp.abs(evaluate(0.0 * lanes)[0])
-    start = (jnp.int32(0), wanted, lanes, 0.0 * lanes, jnp.inf * lanes)
-    return lax.while_loop(searching, newton_step, start)[2]
+    ones = jnp.ones(lanes, dtype)
+    up = last > 0
+    chord = jnp.clip(first / jnp.where(last > first, first - last, -1.0), 0.0, 2.0)
+    begin = (jnp.int32(0), wanted, jnp.where(wanted, chord, 1.0), jnp.where(up, 0, ones), jnp.where(up, ones, jnp.inf))
+    return lax.while_loop(searching, newton_step, begin)[2]
