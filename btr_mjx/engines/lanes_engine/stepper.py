@@ -21,6 +21,7 @@ from btr_mjx.engines.lanes_engine.constraints.closures import closures
 from btr_mjx.engines.lanes_engine.constraints.contacts import contact_points
 from btr_mjx.engines.lanes_engine.constraints.dof_constraints import dof_constraints
 from btr_mjx.engines.lanes_engine.constraints.path_rows import path_rows
+from btr_mjx.engines.lanes_engine.constraints.points import side_by_side
 from btr_mjx.engines.lanes_engine.constraints.solver import (
     Constraint,
     ConstraintProblem,
@@ -187,13 +188,14 @@ class LanesStepper:
         placed: PlacedGeoms,
     ) -> tuple[list[Constraint], jax.Array]:
         """All constraints, and worlds with contacts between bodies that are not computed, bool (C,)."""
-        speeds = world_rates(self.plan, moving, v)
+        speeds, lanes = world_rates(self.plan, moving, v), placed.lanes
         between, doubtful = body_contacts(
             self.between, self._owners, self._columns, parameters, placed, moving, speeds, self._elliptic, self._dtype
         )
+        over_planes = contact_points(self._model, self.plan, parameters, moving, self._elliptic, self._dtype)
         found: list[Constraint] = [
             *dof_constraints(self.plan, parameters, q, speeds),
-            *contact_points(self._model, self.plan, parameters, moving, self._elliptic, self._dtype),
+            *side_by_side(over_planes, lanes, self._dtype),
             *between,
             *path_rows(self.plan, self._columns, parameters, q, v, self._dtype),
             *closures(self.plan, self._columns, parameters, moving, speeds, self._dtype),

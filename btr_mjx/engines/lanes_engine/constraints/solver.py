@@ -12,7 +12,7 @@ A world's result does not depend on the other worlds of its chunk: once converge
 solution bit for bit; with a line search the solution is kept.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 
@@ -20,28 +20,18 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from btr_mjx.engines.guards.placed_geoms import fold_rows
 from btr_mjx.engines.lanes_engine.articulated import factorise, solve_factored
 from btr_mjx.engines.lanes_engine.constraints.body_contacts import Coupling, over_slots
-from btr_mjx.engines.lanes_engine.constraints.cones import ZoneModel
 from btr_mjx.engines.lanes_engine.constraints.coupled import solve_coupled
 from btr_mjx.engines.lanes_engine.constraints.dof_constraints import DofConstraint
-from btr_mjx.engines.lanes_engine.constraints.points import Contact
+from btr_mjx.engines.lanes_engine.constraints.points import Contact, Points
 from btr_mjx.engines.lanes_engine.dynamics import System
 from btr_mjx.engines.lanes_engine.kinematics import Motion
-from btr_mjx.engines.lanes_engine.spatial import Spatial, propagate
+from btr_mjx.engines.lanes_engine.spatial import Block, Spatial, propagate
 from btr_mjx.engines.lanes_engine.tree import TreePlan
 from btr_mjx.engines.rewriting import retrace
-from btr_mjx.engines.scalars import (
-    Scalar,
-    add,
-    array,
-    dot,
-    group_sum,
-    sub,
-    total,
-    vadd,
-    vsub,
-)
+from btr_mjx.engines.scalars import Scalar, add, array, dot, group_sum, sub, total, vsub
 
 _MAX_NEWTON = 20
 """Iterations of a step."""
@@ -52,7 +42,8 @@ _LINE_ITERATIONS = 10
 _SLOPE_TOLERANCE = 1e-3
 """Slope at which the search stops, relative to the slope at its start."""
 
-type Constraint = Contact | Coupling | DofConstraint
+type Constraint = Points | Coupling | DofConstraint
+type _Single = Contact | Coupling | DofConstraint
 
 
 @dataclass(frozen=True)
@@ -73,7 +64,7 @@ class ConstraintProblem:
 
 
 type RowNumbers = list[list[jax.Array]]
-"""Per constraint, numbers along its rows, each of the constraint's shape: (C,), (G, C), or (K, C) for K slots."""
+"""Per constraint, numbers along its rows: (C,) or (G, C) of a dof, (P, C) or (P, G, C) of points, (K, C) of slots."""
 
 
 def row_shapes(plan: TreePlan, constraints: Sequence[Constraint], lanes: int) -> list[tuple[int, tuple[int, ...]]]:
@@ -83,57 +74,94 @@ def row_shapes(plan: TreePlan, constraints: Sequence[Constraint], lanes: int) ->
     for c in constraints:
         if isinstance(c, Coupling):
             found.append((c.rows, (c.slots, lanes)))
+        elif isinstance(c, DofConstraint):
+            found.append((c.cone.rows, (*members(plan.dof_size[c.dof]), lanes)))
         else:
-            size = plan.dof_size[c.dof] if isinstance(c, DofConstraint) else c.link.size
-            found.append((c.cone.rows, (*members(size), lanes)))
+            found.append((c.rows, (c.count, *members(c.link.size), lanes)))
     return found
 
 
+def _quadratic(c: Constraint) -> bool:
+    return c.quadratic if isinstance(c, Points) else c.cone.quadratic
+
+
 @dataclass(frozen=True)
-class _Point:
-    """Accelerations at which the cost is looked at."""
+class _Reached:
+    """Accelerations of dofs and links."""
 
     dofs: list[jax.Array]
-    short: RowNumbers
-    """What the rows fall short of their references, see `Cone`."""
+    links: Sequence[Spatial]
+
+    def short(self, c: _Single, like: jax.Array) -> list[jax.Array]:
+        """What the accelerations along the rows of a constraint fall short of their references, see `Cone`."""
+        along = c.acceleration(self.links[c.link.index]) if isinstance(c, Contact) else c.acceleration(self.dofs)
+        rows = c.rows if isinstance(c, Coupling) else c.cone.rows
+        return [
+            array(sub(r, x), like.shape, like.dtype) for r, x in zip(c.cone.reference[:rows], along[:rows], strict=True)
+        ]
 
 
-def _point(
-    problem: ConstraintProblem, x: Sequence[Scalar], links: Sequence[Spatial], like: Sequence[jax.Array]
-) -> _Point:
-    """The point of accelerations per dof and of the links that they cause."""
-    a = [array(x_k, g.shape, g.dtype) for x_k, g in zip(x, like, strict=True)]
-    shapes, short = row_shapes(problem.plan, problem.constraints, a[0].shape[-1]), []
-    for c, (count, shape) in zip(problem.constraints, shapes, strict=True):
-        along = c.acceleration(links[c.link.index]) if isinstance(c, Contact) else c.acceleration(a)
-        own = [sub(r, x_k) for r, x_k in zip(c.cone.reference[:count], along[:count], strict=True)]
-        short.append([array(x_k, shape, a[0].dtype) for x_k in own])
-    return _Point(a, short)
+def _each[T](
+    c: Constraint,
+    one: Callable[..., tuple[RowNumbers, list[Scalar]]],
+    given: Sequence[list[jax.Array]],
+    made: RowNumbers,
+    sums: list,
+) -> tuple[RowNumbers, list[Scalar]]:
+    """The rows that `one` makes of a constraint and given rows, and what it adds to sums; of points those that touch.
+
+    RowNumbers of the other points are those of `made`.
+    """
+    if not isinstance(c, Points):
+        return one(c, *given)
+
+    def visit(p: jax.Array, point: Contact, carry: tuple) -> tuple:
+        rows, so_far = carry
+        own = [[lax.dynamic_index_in_dim(x, p, keepdims=False) for x in row] for row in given]
+        new, more = one(point, *own)
+        rows = jax.tree.map(lambda x, y: lax.dynamic_update_index_in_dim(x, y, p, 0), rows, new)
+        both = zip(so_far, more, strict=True)
+        return rows, [x | y if x.dtype == bool else x + y for x, y in both]
+
+    return c.visit(visit, (made, sums))
 
 
-def _minimum_on_zones(
-    problem: ConstraintProblem, models: Sequence[ZoneModel], like: Sequence[jax.Array]
-) -> tuple[list[Scalar], list[Spatial]]:
-    """Minimum of the cost for given zones, where it is quadratic: accelerations of dofs and links."""
+def _whole(c: Constraint, x: jax.Array) -> jax.Array:
+    """Sum, or for bools whether any is true, over the members of a constraint's group or over its slots, (C,)."""
+    if x.dtype == bool:
+        return fold_rows(jnp.logical_or, x) if x.ndim == 2 else x
+    return over_slots(x) if isinstance(c, Coupling) else group_sum(x, x.shape[0] if x.ndim == 2 else 1)
+
+
+def _minimum_on_zones(problem: ConstraintProblem, short: RowNumbers, like: Sequence[jax.Array]) -> _Reached:
+    """Minimum of the cost for the zones of given shortfalls, where it is quadratic."""
     blocks, outer = list(problem.inertia.blocks), list(problem.wrenches)
     diagonal, forces = dict(problem.inertia.diagonal), dict(problem.tau)
     couplings = []
-    for c, model in zip(problem.constraints, models, strict=True):
+    for c, own in zip(problem.constraints, short, strict=True):
         if isinstance(c, Coupling):
-            couplings.append((c, model))
-        elif isinstance(c, Contact):
-            block, (force, torque) = c.effect(model)
-            at = c.link.index
-            blocks[at] = blocks[at] + block
-            outer[at] = vadd(outer[at][0], force), vadd(outer[at][1], torque)
-        else:
-            stiffness, push = c.effect(model)
+            couplings.append((c, c.cone.model(own)))
+        elif isinstance(c, DofConstraint):
+            stiffness, push = c.effect(c.cone.model(own))
             diagonal[c.dof] = add(diagonal.get(c.dof, 0.0), stiffness)
             forces[c.dof] = add(forces.get(c.dof, 0.0), push)
+        else:
+            at = c.link.index
+            so_far = (*blocks[at].scalars(), *outer[at][0], *outer[at][1])
+
+            def effect(point: Contact, rows: list[jax.Array]) -> tuple[RowNumbers, list[Scalar]]:
+                block, (force, torque) = point.effect(point.cone.model(rows))
+                return [], [*block.scalars(), *force, *torque]
+
+            begin = [array(x, own[0].shape[1:], own[0].dtype) for x in so_far]
+            _, found = _each(c, effect, [own], [], begin)
+            blocks[at], outer[at] = Block.of(found[:21]), (found[21:24], found[24:])
     factors = factorise(problem.plan, problem.motions, blocks, diagonal)
-    if not couplings:
-        return solve_factored(factors, outer, forces)
-    return solve_coupled(factors, couplings, outer, forces, like)
+    if couplings:
+        x, links = solve_coupled(factors, couplings, outer, forces, like)
+    else:
+        x, links = solve_factored(factors, outer, forces)
+    return _Reached([array(x_k, g.shape, g.dtype) for x_k, g in zip(x, like, strict=True)], links)
 
 
 def constrained_acceleration(
@@ -150,109 +178,110 @@ def constrained_acceleration(
         factors = factorise(plan, motions, problem.inertia.blocks, problem.inertia.diagonal)
         solution, _ = solve_factored(factors, problem.wrenches, problem.tau)
         return [array(x, g.shape, g.dtype) for x, g in zip(solution, guess, strict=True)], jnp.zeros(lanes, bool), []
-    search = not all(c.cone.quadratic for c in constraints)
+    search = not all(map(_quadratic, constraints))
 
     def body(carry: tuple) -> tuple:
         count, moving, a, short, push = carry
-        models = [c.cone.model(own) for c, own in zip(constraints, short, strict=True)]
-        full = _point(problem, *_minimum_on_zones(problem, models, guess), guess)
-        moved = _unsettled(problem, models, full)
+        full = _minimum_on_zones(problem, short, guess)
+        moved, slopes, made = _looked_at(constraints, full, short, push)
         if not search:
-            return count + 1, moved, full.dofs, full.short, push
+            return count + 1, moved, full.dofs, [new for (new,) in made], push
         # Where the full step keeps its zones it is the solution: the search would find nothing but rounding errors.
         moved = moved & moving
-        ends = (
-            _End(short, push, _forces(constraints, models, short)),
-            _End(full.short, _forces(constraints, models, full.short), _forces(constraints, None, full.short)),
-        )
-        rest = 1.0 - _step_length(constraints, *ends, moved & (count > 0))
+        ends = list(zip(short, push, *zip(*made, strict=True), strict=True))
+        rest = 1.0 - _step_length(constraints, ends, slopes, moved & (count > 0))
         go = lambda x, y: jnp.where(moving, y + rest * (x - y), x)  # noqa: E731
-        return count + 1, moved, *jax.tree.map(go, (a, short, push), (full.dofs, full.short, ends[1].balanced))
+
+        def gone(_: _Single, short: list, push: list, *new: list[jax.Array]) -> tuple[RowNumbers, list[Scalar]]:
+            return jax.tree.map(go, [short, push], list(new)), []
+
+        found = [_each(c, gone, end, list(end[:2]), [])[0] for c, end in zip(constraints, ends, strict=True)]
+        short, push = ([rows[k] for rows in found] for k in range(2))
+        return count + 1, moved, jax.tree.map(go, a, full.dofs), short, push
 
     def searching(carry: tuple) -> jax.Array:
         return jnp.any(carry[1]) & (carry[0] < _MAX_NEWTON)
 
-    start = [
-        [jnp.where(reduce(jnp.logical_or, [x != 0 for x in before]), x, y) for x, y in zip(before, own, strict=True)]
-        for before, own in zip(last, _point(problem, guess, propagate(plan, motions, guess), guess).short, strict=True)
+    begin = _Reached(list(guess), propagate(plan, motions, guess))
+
+    def start(c: _Single, before: list[jax.Array]) -> tuple[RowNumbers, list[Scalar]]:
+        known = reduce(jnp.logical_or, [x != 0 for x in before])
+        return [[jnp.where(known, x, y) for x, y in zip(before, begin.short(c, before[0]), strict=True)]], []
+
+    def end(c: _Single, own: list[jax.Array]) -> tuple[RowNumbers, list[Scalar]]:
+        pushes = c.cone.force(c.cone.model(own), own)[0] != 0
+        return [[jnp.where(pushes, x, 0) for x in own]], []
+
+    nothing = jax.tree.map(jnp.zeros_like, last)
+    mapped = lambda one, rows: [  # noqa: E731
+        _each(c, one, [own], [none], [])[0][0] for c, own, none in zip(constraints, rows, nothing, strict=True)
     ]
-    push = jax.tree.map(jnp.zeros_like, start) if search else []
-    carry = (jnp.int32(0), jnp.ones(lanes, bool), list(guess), start, push)
+    carry = (jnp.int32(0), jnp.ones(lanes, bool), list(guess), mapped(start, last), nothing if search else [])
     # The loop takes most of a step's time: a lower threshold than elsewhere pays, at the cost of compile time.
     _, moved, solution, short, _ = lax.while_loop(searching, retrace(body, threshold=8), carry)
-    pushing = [
-        [jnp.where(c.cone.force(c.cone.model(own), own)[0] != 0, x, 0) for x in own]
-        for c, own in zip(constraints, short, strict=True)
-    ]
-    return solution, moved, pushing
+    return solution, moved, mapped(end, short)
 
 
-def _unsettled(problem: ConstraintProblem, models: Sequence[ZoneModel], point: _Point) -> jax.Array:
-    """Worlds, bool (C,), in which the forces of some constraint at a point are not those of its zone."""
-    flags = []
-    for c, model, short in zip(problem.constraints, models, point.short, strict=True):
-        flag = ~c.cone.settled(model, short)
-        if isinstance(c, Coupling):
-            flags.append(jnp.any(flag, axis=0))
-        else:
-            flags += [flag[i] for i in range(flag.shape[0])] if flag.ndim == 2 else [flag]
-    return reduce(jnp.logical_or, flags)
+def _looked_at(
+    constraints: Sequence[Constraint], full: _Reached, short: RowNumbers, push: RowNumbers
+) -> tuple[jax.Array, list[jax.Array], list[RowNumbers]]:
+    """What the constraints say of a full step from shortfalls at which the rows balance other forces with `push`.
 
-
-def _forces(constraints: Sequence[Constraint], models: Sequence[ZoneModel] | None, short: RowNumbers) -> RowNumbers:
-    """Forces along the rows at shortfalls, in given zones or in those of the shortfalls."""
-    found = []
-    for n, (c, own) in enumerate(zip(constraints, short, strict=True)):
-        force = c.cone.force(models[n] if models else c.cone.model(own), own)
-        found.append([array(f, own[0].shape, own[0].dtype) for f in force[: len(own)]])
-    return found
-
-
-@dataclass(frozen=True)
-class _End:
-    """One end of a line along which the least cost is searched."""
-
-    short: RowNumbers
-    """Shortfalls along the rows."""
-    balanced: RowNumbers
-    """The forces along the rows that balance all other forces."""
-    force: RowNumbers
-    """The forces of the constraints."""
-
-
-def _step_length(constraints: Sequence[Constraint], old: _End, new: _End, wanted: jax.Array) -> jax.Array:
-    """Step lengths (C,), relative to the full step from an `old` to a `new` end, of the least cost.
-
-    They are 1 in worlds in which none is wanted, bool (C,). The slope of the cost is the product of the shortfalls'
-    change and the forces of the constraints minus those that are balanced. Its zero is found by Newton's method with
-    bracketing and bisection, starting where the straight line through the slopes at both ends vanishes.
+    These are worlds, bool (C,), in which the forces of some constraint are not those of its zone; and with a search
+    four sums (C,) along the change of the shortfalls: the slope of the cost at both ends, `push`, and its change. Last
+    the shortfalls of each constraint at the end of the step, and with a search the forces that are balanced there.
     """
-    lanes, dtype = wanted.shape, old.short[0][0].dtype
-    along = jax.tree.map(jnp.subtract, new.short, old.short)
-    change = jax.tree.map(jnp.subtract, new.balanced, old.balanced)
 
-    def summed(values: Iterable[Scalar]) -> jax.Array:
-        """Sum over constraints, and over the members of their groups or over their slots."""
-        found = total(
-            over_slots(x) if isinstance(c, Coupling) else group_sum(x, d[0].shape[0] if d[0].ndim == 2 else 1)
-            for c, d, x in zip(constraints, along, values, strict=True)
+    def look(c: _Single, old: list[jax.Array], held: list[jax.Array] | None = None) -> tuple[RowNumbers, list[Scalar]]:
+        new, model = full.short(c, old[0]), c.cone.model(old)
+        moved = jnp.broadcast_to(~c.cone.settled(model, new), old[0].shape)
+        if held is None:
+            return [new], [moved]
+        before, balanced, after = (
+            [array(x, old[0].shape, old[0].dtype) for x in force[: len(old)]]
+            for force in (c.cone.force(model, old), c.cone.force(model, new), c.cone.force(c.cone.model(new), new))
         )
-        return array(found, lanes, dtype)
+        along = vsub(new, old)
+        sums = (vsub(before, held), vsub(after, balanced), held, vsub(balanced, held))
+        return [new, balanced], [moved, *(dot(along, x) for x in sums)]
 
-    def slope(end: _End) -> jax.Array:
-        rows = zip(along, end.force, end.balanced, strict=True)
-        return summed(dot(d, vsub(f, b)) for d, f, b in rows)
+    flags, totals, rows = [], [], []
+    for n, (c, own) in enumerate(zip(constraints, short, strict=True)):
+        given = [own, push[n]] if push else [own]
+        none = jnp.zeros_like(own[0][0] if isinstance(c, Points) else own[0])
+        made, (moved, *sums) = _each(c, look, given, given, [none != 0, *[none] * (4 if push else 0)])
+        flags.append(_whole(c, moved))
+        totals.append([_whole(c, x) for x in sums])
+        rows.append(made)
+    return reduce(jnp.logical_or, flags), [total(x) for x in zip(*totals, strict=True)], rows
 
-    first, last = slope(old), slope(new)
+
+def _step_length(
+    constraints: Sequence[Constraint],
+    ends: Sequence[Sequence[list[jax.Array]]],
+    slopes: Sequence[jax.Array],
+    wanted: jax.Array,
+) -> jax.Array:
+    """Step lengths (C,), relative to the full step, of the least cost; 1 in worlds in which none is wanted, bool (C,).
+
+    Per constraint, `ends` has the shortfalls and the balanced forces at the beginning, and the same at the end; slopes
+    are as of `_looked_at`. The zero of the slope is found by Newton's method with bracketing and bisection, starting
+    where the straight line through the slopes at both ends vanishes.
+    """
+    first, last, held, change = slopes
     wanted = wanted & (jnp.abs(last) > _SLOPE_TOLERANCE * jnp.abs(first))
-    falling = summed(dot(d, f) for d, f in zip(along, old.balanced, strict=True))
-    curve = -summed(dot(d, f) for d, f in zip(along, change, strict=True))
-    rays = [c.cone.slopes(x, d) for c, x, d in zip(constraints, old.short, along, strict=True)]
 
     def newton_step(carry: tuple) -> tuple:
         count, _, length, low, high = carry
-        one, two = zip(*(ray(length) for ray in rays), strict=True)
-        here, second = summed(one) - falling + length * curve, summed(two) + curve
+
+        def ray(c: _Single, old: list, _: list, new: list, __: list) -> tuple[RowNumbers, list[Scalar]]:
+            return [], [*c.cone.slopes(old, vsub(new, old))(length)]
+
+        here, second = -held - length * change, -change
+        for c, end in zip(constraints, ends, strict=True):
+            none = jnp.zeros_like(end[0][0][0] if isinstance(c, Points) else end[0][0])
+            _, found = _each(c, ray, end, [], [none, none])
+            here, second = here + _whole(c, found[0]), second + _whole(c, found[1])
         low, high = jnp.where(here > 0, low, length), jnp.where(here > 0, length, high)
         newton = length - here / jnp.where(second > 0, second, 1.0)
         inside = (newton > low) & (newton < high)
@@ -263,8 +292,7 @@ def _step_length(constraints: Sequence[Constraint], old: _End, new: _End, wanted
     def searching(carry: tuple) -> jax.Array:
         return jnp.any(carry[1]) & (carry[0] < _LINE_ITERATIONS)
 
-    ones = jnp.ones(lanes, dtype)
-    up = last > 0
+    ones, up = jnp.ones_like(first), last > 0
     chord = jnp.clip(first / jnp.where(last > first, first - last, -1.0), 0.0, 2.0)
     begin = (jnp.int32(0), wanted, jnp.where(wanted, chord, 1.0), jnp.where(up, 0, ones), jnp.where(up, ones, jnp.inf))
     return lax.while_loop(searching, newton_step, begin)[2]
