@@ -12,7 +12,7 @@ from btr_mjx.engines.base import MUJOCO_4
 from btr_mjx.engines.lanes_engine import support
 from btr_mjx.engines.lanes_engine.actuation import Actuation
 from btr_mjx.engines.lanes_engine.articulated import factorise, lu_solve, solve_factored
-from btr_mjx.engines.lanes_engine.constraints.solver import Zones
+from btr_mjx.engines.lanes_engine.constraints.solver import RowNumbers
 from btr_mjx.engines.lanes_engine.dynamics import NO_BLOCK, System, local_rates, opposing_forces
 from btr_mjx.engines.lanes_engine.kinematics import Motion, unit_quaternion
 from btr_mjx.engines.lanes_engine.lanes_state import LanesState
@@ -51,7 +51,7 @@ class Forward:
     found: list[jax.Array]
     """Accelerations per dof, with world axes."""
     capped: jax.Array
-    zones: Zones
+    zones: RowNumbers
     tripped: jax.Array
 
 

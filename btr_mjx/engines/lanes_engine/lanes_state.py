@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.engines.lanes_engine.actuation import group_rows
-from btr_mjx.engines.lanes_engine.constraints.solver import Zones
+from btr_mjx.engines.lanes_engine.constraints.solver import RowNumbers
 from btr_mjx.engines.lanes_engine.tree import TreePlan
 
 
@@ -28,8 +28,8 @@ class LanesState:
     """Controls of the last steps, the newest first, per actuator with a history buffer."""
     acceleration: list[jax.Array]
     """Acceleration per dof in the last step, MuJoCo's conventions; initial guess of the next step."""
-    zones: Zones
-    """Active constraints of the last step, see `solver.Zones`; initial guess of the next step."""
+    zones: RowNumbers
+    """Zones of the constraints in the last step, see `constrained_acceleration`; initial guess of the next step."""
     power: jax.Array
     """Sum over actuators of |force x velocity| in the last step [W], (C,)."""
     capped: jax.Array

@@ -21,13 +21,13 @@ from btr_mjx.engines.lanes_engine.constraints.closures import closures
 from btr_mjx.engines.lanes_engine.constraints.contacts import contact_points
 from btr_mjx.engines.lanes_engine.constraints.dof_constraints import dof_constraints
 from btr_mjx.engines.lanes_engine.constraints.path_rows import path_rows
+from btr_mjx.engines.lanes_engine.constraints.points import side_by_side
 from btr_mjx.engines.lanes_engine.constraints.solver import (
     Constraint,
     ConstraintProblem,
-    Zones,
+    RowNumbers,
     constrained_acceleration,
-    zone_flags,
-    zone_shape,
+    row_shapes,
 )
 from btr_mjx.engines.lanes_engine.dynamics import (
     ball_rates,
@@ -162,15 +162,15 @@ class LanesStepper:
         return (chunk,) if size == 1 else (size, chunk)
 
     def _record_zone_layout(self, params: Mapping[str, list[jax.Array]]) -> None:
-        """Record, while traced, the number of flags of each constraint and the shape of its group."""
+        """Record, while traced, the number of rows of each constraint and the shape of its group."""
         parameters = Parameters(self._constants, params)
         q, v, _ = self._rest(parameters, 2)
         moving = motions(self.plan, parameters, q, v)
         found, _ = self._constraints(parameters, q, v, moving, self._placed(parameters, moving, 2))
-        self._zone_layout += [(zone_flags(c), zone_shape(self.plan, c, 2)[:-1]) for c in found]
+        self._zone_layout += [(count, shape[:-1]) for count, shape in row_shapes(self.plan, found, 2)]
 
-    def _no_zones(self, chunk: int) -> Zones:
-        return [tuple(jnp.zeros((*shape, chunk), bool) for _ in range(count)) for count, shape in self._zone_layout]
+    def _no_zones(self, chunk: int) -> RowNumbers:
+        return [[jnp.zeros((*shape, chunk), self._dtype) for _ in range(count)] for count, shape in self._zone_layout]
 
     def _no_history(self, chunk: int) -> list[list[jax.Array]]:
         """Controls before the first step: zero."""
@@ -188,13 +188,14 @@ class LanesStepper:
         placed: PlacedGeoms,
     ) -> tuple[list[Constraint], jax.Array]:
         """All constraints, and worlds with contacts between bodies that are not computed, bool (C,)."""
-        speeds = world_rates(self.plan, moving, v)
+        speeds, lanes = world_rates(self.plan, moving, v), placed.lanes
         between, doubtful = body_contacts(
             self.between, self._owners, self._columns, parameters, placed, moving, speeds, self._elliptic, self._dtype
         )
+        over_planes = contact_points(self._model, self.plan, parameters, moving, self._elliptic, self._dtype)
         found: list[Constraint] = [
             *dof_constraints(self.plan, parameters, q, speeds),
-            *contact_points(self._model, self.plan, parameters, moving, self._elliptic, self._dtype),
+            *side_by_side(over_planes, lanes, self._dtype),
             *between,
             *path_rows(self.plan, self._columns, parameters, q, v, self._dtype),
             *closures(self.plan, self._columns, parameters, moving, speeds, self._dtype),

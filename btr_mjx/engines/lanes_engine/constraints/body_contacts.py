@@ -20,7 +20,8 @@ from jax import lax
 from btr_mjx.engines.guards.bounds import Shapes
 from btr_mjx.engines.guards.pairs import PairGroup
 from btr_mjx.engines.guards.placed_geoms import PlacedGeoms, fold_rows, member
-from btr_mjx.engines.lanes_engine.constraints.cones import Cone, impedance, make_cone
+from btr_mjx.engines.lanes_engine.constraints.cones import Cone, impedance
+from btr_mjx.engines.lanes_engine.constraints.friction_cones import make_cone
 from btr_mjx.engines.lanes_engine.kinematics import Motion
 from btr_mjx.engines.lanes_engine.parameters import Parameters
 from btr_mjx.engines.lanes_engine.tree import TreePlan

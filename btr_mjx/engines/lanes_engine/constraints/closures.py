@@ -15,8 +15,7 @@ import jax.numpy as jnp
 
 from btr_mjx.engines.guards.placed_geoms import member, stack_rows
 from btr_mjx.engines.lanes_engine.constraints.body_contacts import Column, Coupling
-from btr_mjx.engines.lanes_engine.constraints.cones import impedance
-from btr_mjx.engines.lanes_engine.constraints.path_rows import Bilateral
+from btr_mjx.engines.lanes_engine.constraints.cones import Bilateral, impedance
 from btr_mjx.engines.lanes_engine.kinematics import Motion, matrix_quaternion, world_motion
 from btr_mjx.engines.lanes_engine.parameters import Parameters
 from btr_mjx.engines.lanes_engine.tree import Closure, TreePlan

@@ -16,7 +16,9 @@ import numpy as np
 
 from btr_mjx.engines.lanes_engine import support
 from btr_mjx.engines.lanes_engine.constraints import mesh_points
-from btr_mjx.engines.lanes_engine.constraints.cones import Contact, impedance, make_cone
+from btr_mjx.engines.lanes_engine.constraints.cones import impedance
+from btr_mjx.engines.lanes_engine.constraints.friction_cones import make_cone
+from btr_mjx.engines.lanes_engine.constraints.points import Contact
 from btr_mjx.engines.lanes_engine.kinematics import Motion, point_velocity
 from btr_mjx.engines.lanes_engine.parameters import Parameters
 from btr_mjx.engines.lanes_engine.tree import Link, Touch, TreePlan
@@ -91,10 +93,13 @@ def _rim_points(parameters: Parameters, key: str, normal: Vector, m: Motion) -> 
     return [vadd(down, axis), vsub(down, axis), vadd(far, across), vsub(far, across)]
 
 
-def _contact_frame(parameters: Parameters, key: str, touch: Touch, m: Motion) -> Matrix:
-    """The plane's contact frame; for a capsule its first tangent follows the axis (mjc_PlaneCapsule)."""
+def _contact_frame(parameters: Parameters, key: str, touch: Touch, m: Motion, elliptic: bool) -> Matrix:
+    """The plane's contact frame; for a capsule its first tangent follows the axis (mjc_PlaneCapsule).
+
+    The direction of the tangents makes no difference to elliptic cones.
+    """
     frame = parameters.matrix(f"plane{touch.plane}/frame")
-    if touch.kind != support.CAPSULE:
+    if touch.kind != support.CAPSULE or elliptic:
         return frame
     normal, axis = frame[0], matvec(m.rotation, parameters[f"{key}/axis"])
     tangent = vsub(axis, scale(dot(normal, axis), normal))
@@ -134,7 +139,7 @@ def contact_points(
     for link, m in zip(plan.links, motions, strict=True):
         for n, touch in enumerate(link.touches):
             key = f"{link.index}/touch{n}"
-            frame = _contact_frame(parameters, key, touch, m)
+            frame = _contact_frame(parameters, key, touch, m, elliptic)
             base = sub(dot(frame[0], m.position), parameters.one(f"plane{touch.plane}/offset"))
             geom = _GeomOverPlane(key, link, touch, m, frame, base)
             for offset, possible in _points(model, parameters, key, touch, m, dtype):

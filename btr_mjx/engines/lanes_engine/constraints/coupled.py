@@ -44,7 +44,8 @@ def solve_coupled(
     between links, `coupled`, each with its zone. `like` has arrays of the accelerations' shapes.
     """
     plan = factors.plan
-    couplings, linear = [c for c, _ in coupled], [c.cone.linear(model) for c, model in coupled]
+    couplings = [c for c, _ in coupled]
+    linear = [(c.cone.stiffness(model), c.cone.force(model, c.cone.reference)) for c, model in coupled]
     lanes, dtype = like[0].shape[-1], like[0].dtype
     tolerance = (_ROUNDINGS * float(jnp.finfo(dtype).eps)) ** 2
 

@@ -6,8 +6,7 @@ Source: google-deepmind/mujoco, mj_instantiateEquality, mj_instantiateFriction, 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,43 +14,14 @@ import numpy as np
 
 from btr_mjx.engines.guards.placed_geoms import member, stack_rows
 from btr_mjx.engines.lanes_engine.constraints.body_contacts import Column, Coupling
-from btr_mjx.engines.lanes_engine.constraints.cones import Cone, Frictionless, ZoneModel, constraint_law
-from btr_mjx.engines.lanes_engine.constraints.dof_constraints import Friction
+from btr_mjx.engines.lanes_engine.constraints.cones import Bilateral, Cone, DryFriction, Frictionless, constraint_law
 from btr_mjx.engines.lanes_engine.kinematics import path_motion
 from btr_mjx.engines.lanes_engine.parameters import Parameters
 from btr_mjx.engines.lanes_engine.tree import Path, TreePlan
-from btr_mjx.engines.scalars import Scalar, Symmetric, Vector, add, array, is_zero, mul, neg, scale, sub
+from btr_mjx.engines.scalars import Scalar, add, array, is_zero, mul, neg, sub
 
 type _Jacobian = list[dict[int, Scalar]]
 """Per row, the derivative of its length by the coordinates of MuJoCo's joints."""
-
-
-class Bilateral(Cone):
-    """Rows of the same weight that push and pull."""
-
-    def model(self, a: Vector) -> ZoneModel:
-        """Weight of the rows, which are always active."""
-        return (self.weight,)
-
-    def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
-        """See `Cone.linear`."""
-        return [*[model[0]] * 3, 0.0, 0.0, 0.0], scale(model[0], self.reference)
-
-
-@dataclass
-class DryFriction(Cone):
-    """A force that opposes motion, bounded by `loss`, see `Friction`."""
-
-    loss: Scalar
-    quadratic: ClassVar[bool] = False
-
-    def model(self, a: Vector) -> ZoneModel:
-        """Stiffness and force."""
-        return Friction(-1, self.loss, self.weight, self.reference[0]).model(a[0])
-
-    def linear(self, model: ZoneModel) -> tuple[Symmetric, Vector]:
-        """See `Cone.linear`."""
-        return [model[0], 0.0, 0.0, 0.0, 0.0, 0.0], [model[1], 0.0, 0.0]
 
 
 class _Rows:

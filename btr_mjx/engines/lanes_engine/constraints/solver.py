@@ -4,8 +4,9 @@ The cost is quadratic within a zone of the constraints (an active-set method): a
 minimum for the assumed zones, and the solution is found when the zones at that minimum are the assumed ones. Elliptic
 cones, whose sliding zone is not quadratic, and dry friction also need a line search.
 
-The initial guess is the zones of the last step, which stay valid until a contact changes. It needs about 40 % fewer
-iterations than the zones at the accelerations of the last step.
+The first iteration has the zones of the last step, which stay valid until a contact changes, and goes all the way to
+their minimum. From there on the inertial forces balance known constraint forces, so that a search along a line needs
+the rows of the constraints only.
 
 A world's result does not depend on the other worlds of its chunk: once converged, further iterations reproduce its
 solution bit for bit; with a line search the solution is kept.
@@ -19,26 +20,18 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from btr_mjx.engines.guards.placed_geoms import fold_rows
 from btr_mjx.engines.lanes_engine.articulated import factorise, solve_factored
 from btr_mjx.engines.lanes_engine.constraints.body_contacts import Coupling, over_slots
-from btr_mjx.engines.lanes_engine.constraints.cones import Cone, Contact, ZoneModel
 from btr_mjx.engines.lanes_engine.constraints.coupled import solve_coupled
 from btr_mjx.engines.lanes_engine.constraints.dof_constraints import DofConstraint
+from btr_mjx.engines.lanes_engine.constraints.points import Contact, Points
 from btr_mjx.engines.lanes_engine.dynamics import System
 from btr_mjx.engines.lanes_engine.kinematics import Motion
-from btr_mjx.engines.lanes_engine.spatial import Spatial, generalised_force, propagate
+from btr_mjx.engines.lanes_engine.spatial import Block, Spatial, propagate
 from btr_mjx.engines.lanes_engine.tree import TreePlan
 from btr_mjx.engines.rewriting import retrace
-from btr_mjx.engines.scalars import (
-    Scalar,
-    add,
-    array,
-    group_sum,
-    mul,
-    sub,
-    vadd,
-    vsub,
-)
+from btr_mjx.engines.scalars import Scalar, add, array, dot, group_sum, sub, total, vsub
 
 _MAX_NEWTON = 20
 """Iterations of a step."""
@@ -49,7 +42,8 @@ _LINE_ITERATIONS = 10
 _SLOPE_TOLERANCE = 1e-3
 """Slope at which the search stops, relative to the slope at its start."""
 
-type Constraint = Contact | Coupling | DofConstraint
+type Constraint = Points | Coupling | DofConstraint
+type _Single = Contact | Coupling | DofConstraint
 
 
 @dataclass(frozen=True)
@@ -69,102 +63,114 @@ class ConstraintProblem:
     """All forces along single dofs except constraint forces."""
 
 
-type Zones = list[tuple[jax.Array, ...]]
-"""Per constraint, which of its rows were active in the last step: `flags` bool arrays of the constraint's shape."""
+type RowNumbers = list[list[jax.Array]]
+"""Per constraint, numbers along its rows: (C,) or (G, C) of a dof, (P, C) or (P, G, C) of points, (K, C) of slots."""
 
 
-def _law(c: Constraint) -> Cone | DofConstraint:
-    """What a constraint's force depends on."""
-    return c if isinstance(c, DofConstraint) else c.cone
-
-
-def zone_shape(plan: TreePlan, c: Constraint, lanes: int) -> tuple[int, ...]:
-    """Shape of a coefficient of a constraint's zone."""
-    if isinstance(c, Coupling):
-        return c.slots, lanes
-    size = c.link.size if isinstance(c, Contact) else plan.dof_size[c.dof]
-    return (lanes,) if size == 1 else (size, lanes)
-
-
-def zone_flags(c: Constraint) -> int:
-    """Number of flags that describe a constraint's zone, see `Cone.flags`."""
-    return _law(c).flags
-
-
-def _models(constraints: Sequence[Constraint], a: Sequence[jax.Array], links: Sequence[Spatial]) -> list[ZoneModel]:
-    """Zone of every constraint at accelerations `a` of the dofs and `links` of the links."""
-    found = []
+def row_shapes(plan: TreePlan, constraints: Sequence[Constraint], lanes: int) -> list[tuple[int, tuple[int, ...]]]:
+    """Per constraint, the number of its rows and the shape of their numbers."""
+    members = lambda size: () if size == 1 else (size,)  # noqa: E731
+    found: list[tuple[int, tuple[int, ...]]] = []
     for c in constraints:
-        if isinstance(c, DofConstraint):
-            found.append(c.model(a[c.dof]))
-        elif isinstance(c, Contact):
-            found.append(c.cone.model(c.acceleration(links[c.link.index])))
+        if isinstance(c, Coupling):
+            found.append((c.rows, (c.slots, lanes)))
+        elif isinstance(c, DofConstraint):
+            found.append((c.cone.rows, (*members(plan.dof_size[c.dof]), lanes)))
         else:
-            found.append(c.cone.model(c.acceleration(a)))
+            found.append((c.rows, (c.count, *members(c.link.size), lanes)))
     return found
 
 
-def _minimum_on_zones(
-    problem: ConstraintProblem, models: Sequence[ZoneModel], like: Sequence[jax.Array]
-) -> tuple[list[Scalar], list[Spatial]]:
-    """Minimum of the cost for given zones, where it is quadratic: accelerations of dofs and links."""
+def _quadratic(c: Constraint) -> bool:
+    return c.quadratic if isinstance(c, Points) else c.cone.quadratic
+
+
+@dataclass(frozen=True)
+class _Reached:
+    """Accelerations of dofs and links."""
+
+    dofs: list[jax.Array]
+    links: Sequence[Spatial]
+
+    def short(self, c: _Single, like: jax.Array) -> list[jax.Array]:
+        """What the accelerations along the rows of a constraint fall short of their references, see `Cone`."""
+        along = c.acceleration(self.links[c.link.index]) if isinstance(c, Contact) else c.acceleration(self.dofs)
+        rows = c.rows if isinstance(c, Coupling) else c.cone.rows
+        return [
+            array(sub(r, x), like.shape, like.dtype) for r, x in zip(c.cone.reference[:rows], along[:rows], strict=True)
+        ]
+
+
+def _each[T](
+    c: Constraint,
+    one: Callable[..., tuple[RowNumbers, list[Scalar]]],
+    given: Sequence[list[jax.Array]],
+    made: RowNumbers,
+    sums: list,
+) -> tuple[RowNumbers, list[Scalar]]:
+    """The rows that `one` makes of a constraint and given rows, and what it adds to sums; of points those that touch.
+
+    RowNumbers of the other points are those of `made`.
+    """
+    if not isinstance(c, Points):
+        return one(c, *given)
+
+    def visit(p: jax.Array, point: Contact, carry: tuple) -> tuple:
+        rows, so_far = carry
+        own = [[lax.dynamic_index_in_dim(x, p, keepdims=False) for x in row] for row in given]
+        new, more = one(point, *own)
+        rows = jax.tree.map(lambda x, y: lax.dynamic_update_index_in_dim(x, y, p, 0), rows, new)
+        both = zip(so_far, more, strict=True)
+        return rows, [x | y if x.dtype == bool else x + y for x, y in both]
+
+    return c.visit(visit, (made, sums))
+
+
+def _whole(c: Constraint, x: jax.Array) -> jax.Array:
+    """Sum, or for bools whether any is true, over the members of a constraint's group or over its slots, (C,)."""
+    if x.dtype == bool:
+        return fold_rows(jnp.logical_or, x) if x.ndim == 2 else x
+    return over_slots(x) if isinstance(c, Coupling) else group_sum(x, x.shape[0] if x.ndim == 2 else 1)
+
+
+def _minimum_on_zones(problem: ConstraintProblem, short: RowNumbers, like: Sequence[jax.Array]) -> _Reached:
+    """Minimum of the cost for the zones of given shortfalls, where it is quadratic."""
     blocks, outer = list(problem.inertia.blocks), list(problem.wrenches)
     diagonal, forces = dict(problem.inertia.diagonal), dict(problem.tau)
     couplings = []
-    for c, model in zip(problem.constraints, models, strict=True):
+    for c, own in zip(problem.constraints, short, strict=True):
         if isinstance(c, Coupling):
-            couplings.append((c, model))
-        elif isinstance(c, Contact):
-            block, (force, torque) = c.effect(model)
-            at = c.link.index
-            blocks[at] = blocks[at] + block
-            outer[at] = vadd(outer[at][0], force), vadd(outer[at][1], torque)
-        else:
-            stiffness, push = c.effect(model)
+            couplings.append((c, c.cone.model(own)))
+        elif isinstance(c, DofConstraint):
+            stiffness, push = c.effect(c.cone.model(own))
             diagonal[c.dof] = add(diagonal.get(c.dof, 0.0), stiffness)
             forces[c.dof] = add(forces.get(c.dof, 0.0), push)
-    factors = factorise(problem.plan, problem.motions, blocks, diagonal)
-    if not couplings:
-        return solve_factored(factors, outer, forces)
-    return solve_coupled(factors, couplings, outer, forces, like)
-
-
-def _zones_changed(constraints: Sequence[Constraint], old: Sequence[ZoneModel], new: Sequence[ZoneModel]) -> jax.Array:
-    """Worlds, bool (C,), in which the zone of some constraint has changed."""
-    flags = []
-    for c, before, after in zip(constraints, old, new, strict=True):
-        flag = ~_law(c).same_zone(before, after)
-        if isinstance(c, Coupling):
-            flags.append(jnp.any(flag, axis=0))
         else:
-            flags += [flag[i] for i in range(flag.shape[0])] if flag.ndim == 2 else [flag]
-    return reduce(jnp.logical_or, flags)
+            at = c.link.index
+            so_far = (*blocks[at].scalars(), *outer[at][0], *outer[at][1])
 
+            def effect(point: Contact, rows: list[jax.Array]) -> tuple[RowNumbers, list[Scalar]]:
+                block, (force, torque) = point.effect(point.cone.model(rows))
+                return [], [*block.scalars(), *force, *torque]
 
-def _zones_of_last_step(
-    constraints: Sequence[Constraint], zones: Zones, models: Sequence[ZoneModel]
-) -> list[ZoneModel]:
-    """Zones of the last step for constraints that were active then; `models` for the others."""
-    found: list[ZoneModel] = []
-    for c, flags, model in zip(constraints, zones, models, strict=True):
-        if not flags:
-            found.append(model)
-            continue
-        pushed = reduce(jnp.logical_or, flags)
-        pairs = zip(flags, model, strict=True)
-        found.append(tuple(jnp.where(pushed, jnp.where(flag, _law(c).weight, 0), x) for flag, x in pairs))
-    return found
+            begin = [array(x, own[0].shape[1:], own[0].dtype) for x in so_far]
+            _, found = _each(c, effect, [own], [], begin)
+            blocks[at], outer[at] = Block.of(found[:21]), (found[21:24], found[24:])
+    factors = factorise(problem.plan, problem.motions, blocks, diagonal)
+    if couplings:
+        x, links = solve_coupled(factors, couplings, outer, forces, like)
+    else:
+        x, links = solve_factored(factors, outer, forces)
+    return _Reached([array(x_k, g.shape, g.dtype) for x_k, g in zip(x, like, strict=True)], links)
 
 
 def constrained_acceleration(
-    problem: ConstraintProblem,
-    guess: Sequence[jax.Array],
-    zones: Zones,
-) -> tuple[list[jax.Array], jax.Array, Zones]:
-    """The solution of the constraint problem: accelerations per dof, worlds (C,) that did not converge, and its zones.
+    problem: ConstraintProblem, guess: Sequence[jax.Array], last: RowNumbers
+) -> tuple[list[jax.Array], jax.Array, RowNumbers]:
+    """The solution of the constraint problem: accelerations per dof, worlds (C,) that did not converge, and shortfalls.
 
-    The guess is initial accelerations per dof, (C,) or (G, C); zones are those of the last step, all False at the
-    first.
+    The guess is initial accelerations per dof, (C,) or (G, C). The shortfalls along the rows of all constraints, zero
+    where they do not push, are the zones with which the next step begins: `last` is those of the step before.
     """
     plan, motions, constraints = problem.plan, problem.motions, problem.constraints
     lanes = guess[0].shape[-1]
@@ -172,114 +178,121 @@ def constrained_acceleration(
         factors = factorise(plan, motions, problem.inertia.blocks, problem.inertia.diagonal)
         solution, _ = solve_factored(factors, problem.wrenches, problem.tau)
         return [array(x, g.shape, g.dtype) for x, g in zip(solution, guess, strict=True)], jnp.zeros(lanes, bool), []
-    search = not all(_law(c).quadratic for c in constraints)
-
-    def shaped(models: Sequence[ZoneModel]) -> list[ZoneModel]:
-        shapes = [zone_shape(plan, c, lanes) for c in constraints]
-        return [tuple(array(x, s, guess[0].dtype) for x in model) for model, s in zip(models, shapes, strict=True)]
+    search = not all(map(_quadratic, constraints))
 
     def body(carry: tuple) -> tuple:
-        count, moving, old, models = carry
-        x, links = _minimum_on_zones(problem, models, guess)
-        a = [array(x_k, g.shape, g.dtype) for x_k, g in zip(x, guess, strict=True)]
-        following = shaped(_models(constraints, a, links))
-        moved = _zones_changed(constraints, models, following)
+        count, moving, a, short, push = carry
+        full = _minimum_on_zones(problem, short, guess)
+        moved, slopes, made = _looked_at(constraints, full, short, push)
         if not search:
-            return count + 1, moved, a, following
+            return count + 1, moved, full.dofs, [new for (new,) in made], push
         # Where the full step keeps its zones it is the solution: the search would find nothing but rounding errors.
         moved = moved & moving
-        length = _step_length(problem, old, a, moved)
-        a = [jnp.where(moving, y + length * (z - y), y) for y, z in zip(old, a, strict=True)]
-        again = shaped(_models(constraints, a, propagate(plan, motions, a)))
-        pairs = zip(models, again, strict=True)
-        following = [tuple(jnp.where(moved, y, x) for x, y in zip(*pair, strict=True)) for pair in pairs]
-        return count + 1, moved & _zones_changed(constraints, models, again), a, following
+        ends = list(zip(short, push, *zip(*made, strict=True), strict=True))
+        rest = 1.0 - _step_length(constraints, ends, slopes, moved & (count > 0))
+        go = lambda x, y: jnp.where(moving, y + rest * (x - y), x)  # noqa: E731
+
+        def gone(_: _Single, short: list, push: list, *new: list[jax.Array]) -> tuple[RowNumbers, list[Scalar]]:
+            return jax.tree.map(go, [short, push], list(new)), []
+
+        found = [_each(c, gone, end, list(end[:2]), [])[0] for c, end in zip(constraints, ends, strict=True)]
+        short, push = ([rows[k] for rows in found] for k in range(2))
+        return count + 1, moved, jax.tree.map(go, a, full.dofs), short, push
 
     def searching(carry: tuple) -> jax.Array:
         return jnp.any(carry[1]) & (carry[0] < _MAX_NEWTON)
 
-    start = shaped(_models(constraints, guess, propagate(plan, motions, guess)))
-    if not search:  # with a line search the zones must be those of the initial accelerations
-        start = shaped(_zones_of_last_step(constraints, zones, start))
-    carry = (jnp.int32(0), jnp.ones(lanes, bool), list(guess), start)
+    begin = _Reached(list(guess), propagate(plan, motions, guess))
+
+    def start(c: _Single, before: list[jax.Array]) -> tuple[RowNumbers, list[Scalar]]:
+        known = reduce(jnp.logical_or, [x != 0 for x in before])
+        return [[jnp.where(known, x, y) for x, y in zip(before, begin.short(c, before[0]), strict=True)]], []
+
+    def end(c: _Single, own: list[jax.Array]) -> tuple[RowNumbers, list[Scalar]]:
+        pushes = c.cone.force(c.cone.model(own), own)[0] != 0
+        return [[jnp.where(pushes, x, 0) for x in own]], []
+
+    nothing = jax.tree.map(jnp.zeros_like, last)
+    mapped = lambda one, rows: [  # noqa: E731
+        _each(c, one, [own], [none], [])[0][0] for c, own, none in zip(constraints, rows, nothing, strict=True)
+    ]
+    carry = (jnp.int32(0), jnp.ones(lanes, bool), list(guess), mapped(start, last), nothing if search else [])
     # The loop takes most of a step's time: a lower threshold than elsewhere pays, at the cost of compile time.
-    _, moved, solution, last = lax.while_loop(searching, retrace(body, threshold=8), carry)
-    pushing = [tuple(x != 0 for x in model[: zone_flags(c)]) for c, model in zip(constraints, last, strict=True)]
-    return solution, moved, pushing
+    _, moved, solution, short, _ = lax.while_loop(searching, retrace(body, threshold=8), carry)
+    return solution, moved, mapped(end, short)
 
 
-def _summed(plan: TreePlan, c: Constraint, x: Scalar) -> Scalar:
-    """Sum over the members of a constraint's group, or over its slots."""
-    if isinstance(c, Coupling):
-        return over_slots(x)
-    return group_sum(x, plan.dof_size[c.dof] if isinstance(c, DofConstraint) else c.link.size)
+def _looked_at(
+    constraints: Sequence[Constraint], full: _Reached, short: RowNumbers, push: RowNumbers
+) -> tuple[jax.Array, list[jax.Array], list[RowNumbers]]:
+    """What the constraints say of a full step from shortfalls at which the rows balance other forces with `push`.
 
+    These are worlds, bool (C,), in which the forces of some constraint are not those of its zone; and with a search
+    four sums (C,) along the change of the shortfalls: the slope of the cost at both ends, `push`, and its change. Last
+    the shortfalls of each constraint at the end of the step, and with a search the forces that are balanced there.
+    """
 
-def _slopes(c: DofConstraint, start: jax.Array, along: jax.Array) -> Callable[[Scalar], tuple[Scalar, Scalar]]:
-    """See `Cone.slopes`."""
+    def look(c: _Single, old: list[jax.Array], held: list[jax.Array] | None = None) -> tuple[RowNumbers, list[Scalar]]:
+        new, model = full.short(c, old[0]), c.cone.model(old)
+        moved = jnp.broadcast_to(~c.cone.settled(model, new), old[0].shape)
+        if held is None:
+            return [new], [moved]
+        before, balanced, after = (
+            [array(x, old[0].shape, old[0].dtype) for x in force[: len(old)]]
+            for force in (c.cone.force(model, old), c.cone.force(model, new), c.cone.force(c.cone.model(new), new))
+        )
+        along = vsub(new, old)
+        sums = (vsub(before, held), vsub(after, balanced), held, vsub(balanced, held))
+        return [new, balanced], [moved, *(dot(along, x) for x in sums)]
 
-    def at(length: Scalar) -> tuple[Scalar, Scalar]:
-        here = add(start, mul(length, along))
-        stiffness, force = c.effect(c.model(here))
-        return mul(along, sub(mul(stiffness, here), force)), mul(stiffness, mul(along, along))
-
-    return at
+    flags, totals, rows = [], [], []
+    for n, (c, own) in enumerate(zip(constraints, short, strict=True)):
+        given = [own, push[n]] if push else [own]
+        none = jnp.zeros_like(own[0][0] if isinstance(c, Points) else own[0])
+        made, (moved, *sums) = _each(c, look, given, given, [none != 0, *[none] * (4 if push else 0)])
+        flags.append(_whole(c, moved))
+        totals.append([_whole(c, x) for x in sums])
+        rows.append(made)
+    return reduce(jnp.logical_or, flags), [total(x) for x in zip(*totals, strict=True)], rows
 
 
 def _step_length(
-    problem: ConstraintProblem, old: Sequence[jax.Array], new: Sequence[jax.Array], wanted: jax.Array
+    constraints: Sequence[Constraint],
+    ends: Sequence[Sequence[list[jax.Array]]],
+    slopes: Sequence[jax.Array],
+    wanted: jax.Array,
 ) -> jax.Array:
-    """Step lengths (C,), relative to the full step from `old` to `new` accelerations per dof, of the least cost.
+    """Step lengths (C,), relative to the full step, of the least cost; 1 in worlds in which none is wanted, bool (C,).
 
-    They are 1 in worlds in which none is wanted, bool (C,). The zero of the slope is found by Newton's method with
-    bracketing and bisection, starting at the full step.
+    Per constraint, `ends` has the shortfalls and the balanced forces at the beginning, and the same at the end; slopes
+    are as of `_looked_at`. The zero of the slope is found by Newton's method with bracketing and bisection, starting
+    where the straight line through the slopes at both ends vanishes.
     """
-    plan, constraints, inertia, tau = problem.plan, problem.constraints, problem.inertia, problem.tau
-    direction = [y - x for x, y in zip(old, new, strict=True)]
-    at, links = propagate(plan, problem.motions, old), propagate(plan, problem.motions, direction)
-    slope: Scalar = 0.0
-    curve: Scalar = 0.0
-    for link, block, a, d, wrench in zip(plan.links, inertia.blocks, at, links, problem.wrenches, strict=True):
-        f, n = block @ a
-        slope = add(slope, group_sum(generalised_force(d, (vsub(f, wrench[0]), vsub(n, wrench[1]))), link.size))
-        curve = add(curve, group_sum(generalised_force(d, block @ d), link.size))
-    for k, size in enumerate(plan.dof_size):
-        diagonal = inertia.diagonal.get(k, 0.0)
-        slope = add(slope, group_sum(mul(direction[k], sub(mul(diagonal, old[k]), tau.get(k, 0.0))), size))
-        curve = add(curve, group_sum(mul(diagonal, mul(direction[k], direction[k])), size))
-    rays = []
-    for c in constraints:
-        if isinstance(c, Contact):
-            rays.append(c.cone.slopes(c.acceleration(at[c.link.index]), c.acceleration(links[c.link.index])))
-        elif isinstance(c, Coupling):
-            rays.append(c.cone.slopes(c.acceleration(old), c.acceleration(direction)))
-        else:
-            rays.append(_slopes(c, old[c.dof], direction[c.dof]))
-
-    def evaluate(length: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Slope and curvature of the cost at a step length."""
-        first, second = add(slope, mul(length, curve)), curve
-        for c, ray in zip(constraints, rays, strict=True):
-            own = ray(length)
-            first, second = add(first, _summed(plan, c, own[0])), add(second, _summed(plan, c, own[1]))
-        lanes = length.shape
-        return array(first, lanes, length.dtype), array(second, lanes, length.dtype)
+    first, last, held, change = slopes
+    wanted = wanted & (jnp.abs(last) > _SLOPE_TOLERANCE * jnp.abs(first))
 
     def newton_step(carry: tuple) -> tuple:
         count, _, length, low, high = carry
-        first, second = evaluate(length)
-        up = first > 0
-        low, high = jnp.where(up, low, length), jnp.where(up, length, high)
-        newton = length - first / jnp.where(second > 0, second, 1.0)
+
+        def ray(c: _Single, old: list, _: list, new: list, __: list) -> tuple[RowNumbers, list[Scalar]]:
+            return [], [*c.cone.slopes(old, vsub(new, old))(length)]
+
+        here, second = -held - length * change, -change
+        for c, end in zip(constraints, ends, strict=True):
+            none = jnp.zeros_like(end[0][0][0] if isinstance(c, Points) else end[0][0])
+            _, found = _each(c, ray, end, [], [none, none])
+            here, second = here + _whole(c, found[0]), second + _whole(c, found[1])
+        low, high = jnp.where(here > 0, low, length), jnp.where(here > 0, length, high)
+        newton = length - here / jnp.where(second > 0, second, 1.0)
         inside = (newton > low) & (newton < high)
         halved = jnp.where(jnp.isfinite(high), 0.5 * (low + high), 2.0 * length)
-        going = wanted & (jnp.abs(first) > _SLOPE_TOLERANCE * steepest)
+        going = wanted & (jnp.abs(here) > _SLOPE_TOLERANCE * jnp.abs(first))
         return count + 1, going, jnp.where(going, jnp.where(inside, newton, halved), length), low, high
 
     def searching(carry: tuple) -> jax.Array:
         return jnp.any(carry[1]) & (carry[0] < _LINE_ITERATIONS)
 
-    lanes = jnp.ones(old[0].shape[-1], old[0].dtype)
-    steepest = jnp.abs(evaluate(0.0 * lanes)[0])
-    start = (jnp.int32(0), wanted, lanes, 0.0 * lanes, jnp.inf * lanes)
-    return lax.while_loop(searching, newton_step, start)[2]
+    ones, up = jnp.ones_like(first), last > 0
+    chord = jnp.clip(first / jnp.where(last > first, first - last, -1.0), 0.0, 2.0)
+    begin = (jnp.int32(0), wanted, jnp.where(wanted, chord, 1.0), jnp.where(up, 0, ones), jnp.where(up, ones, jnp.inf))
+    return lax.while_loop(searching, newton_step, begin)[2]
