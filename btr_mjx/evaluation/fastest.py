@@ -93,9 +93,7 @@ def choose_engine(
     ratio = float(native / seconds)
     if ratio > 1:
         return EngineChoice(other, f"{other}: {ratio:.2g} x native on this model", ratio)
-    causes = ["elliptic cones"] if base_model(robot).opt.cone else []
-    causes += [f"native computes contacts of {tripped:.0%} of the trials anyway"] if tripped else []
-    cause = f" ({', '.join(causes)})" if causes else ""
+    cause = f" (native computes contacts of {tripped:.0%} of the trials anyway)" if tripped else ""
     return EngineChoice("native", f"native: {other} would be {ratio:.2g} x native{cause}", ratio)
 
 
