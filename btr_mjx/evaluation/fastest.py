@@ -20,7 +20,7 @@ _LOG = logging.getLogger(__name__)
 _COMPILING = 20.0
 """Time that native MuJoCo may need for a whole run without another engine being tried [s].
 
-To import, trace and compile `lanes` takes 1 to 40 s on one core (`uv run python benchmarks/engine_choice.py`).
+To import, trace and compile `lanes` takes 1 to 20 s on one core (`uv run python benchmarks/engine_choice.py`).
 """
 
 _PER_CORE = 16
