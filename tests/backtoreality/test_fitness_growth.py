@@ -31,7 +31,7 @@ def measured(hidden: str, count: int = 30) -> tuple[Problem, State]:
     controllers = problem.robot.controller_box.sample(np.random.default_rng(0), count)
     f_r = evaluate(real, problem.start, controllers, fitness=problem.fitness, engine="native").fitness[0]
     trials = Trials(controllers, f_r, np.zeros((count, 0)), f_r, np.ones(count, int))
-    return problem, State("growth", 1, problem.start, np.zeros(0, bool), trials)
+    return problem, State("growth", 1, problem.start, problem.start[None], np.zeros(0, bool), trials)
 
 
 @pytest.fixture(scope="module")

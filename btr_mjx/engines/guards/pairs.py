@@ -100,7 +100,7 @@ def bounding_box(model: mujoco.MjModel, geom: int) -> np.ndarray:
 NEAR = 0.25
 """Distance in qpos0 or a keyframe, in half diagonals of a mesh's bounding box, within which it is treated more exactly.
 
-Meshes then touch planes, and are told apart by their hulls; others are guarded by their boxes, which takes less time.
+Meshes are then told apart by their hulls; others are guarded by their boxes, which takes less time.
 Of 8 robots of MuJoCo's Menagerie whose meshes never touch but whose boxes do from the start, guards along native
 rollouts of half a second clear 6, with 0 in place of 0.25 only 4.
 """
@@ -116,15 +116,6 @@ def reference_poses(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
         places.append(np.array(data.geom_xpos))
         turns.append(np.array(data.geom_xmat).reshape(-1, 3, 3))
     return np.stack(places), np.stack(turns)
-
-
-def near_plane(model: mujoco.MjModel, poses: tuple[np.ndarray, np.ndarray], plane: int, geom: int) -> bool:
-    """Whether a geom's bounding box comes near a plane in one of the reference poses, see `NEAR`."""
-    places, turns = poses
-    box, normal, axes = bounding_box(model, geom), turns[:, plane, :, 2], turns[:, geom]
-    centre = places[:, geom] + axes @ box[:3] - places[:, plane]
-    reach = np.abs(np.einsum("si,sik->sk", normal, axes)) @ box[3:]
-    return bool(np.any((centre * normal).sum(-1) - reach < NEAR * np.linalg.norm(box[3:])))
 
 
 def explicit_pairs(model: mujoco.MjModel, g1: int, g2: int) -> list[int]:

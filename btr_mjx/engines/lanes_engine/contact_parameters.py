@@ -81,8 +81,6 @@ def touch_parameters(
     if touch.kind in (support.BOX, support.ELLIPSOID):
         edges = matrix * size[..., None, :]
         result["edges"] = np.swapaxes(edges, -1, -2).reshape(*edges.shape[:2], 9)
-    if touch.kind == support.MESH:
-        result["axes"] = matrix.reshape(*matrix.shape[:2], 9)
     rounded = touch.kind in (support.SPHERE, support.CAPSULE)
     result["radius"] = size[..., 0:1] if rounded else np.zeros((1, 1, 1))
     return result | contact_parameters(model, fields, plane, geom, touch.condim)

@@ -96,7 +96,7 @@ class LanesStepper:
         self.meshes, rest = near_meshes(model, guarded, self.geoms)
         self.guards = group_by_kinds(model, rest, self.geoms)
         self.between = group_by_condim(model, contacts.between, self.geoms)
-        self._masks = self._read_masks(varying, contacts)
+        self._masks = self._read_masks(varying)
         enabled = has_constraints(model, "FRICTIONLOSS")
         friction = (
             enabled & ((base_field(model, name) != 0) | self._masks.get(name, False))
@@ -113,13 +113,10 @@ class LanesStepper:
         sample = {key: [np.asarray(column[0], self._dtype) for column in columns] for key, columns in arrays.items()}
         jax.eval_shape(self._record_zone_layout, sample)
 
-    def _read_masks(
-        self, varying: Iterable[str] | Mapping[str, np.ndarray], contacts: support.Contacts
-    ) -> dict[str, np.ndarray]:
+    def _read_masks(self, varying: Iterable[str] | Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Field name -> bool array of the field's shape."""
         masks = {}
-        shaped = self.geoms or any(self._model.geom_type[geom] == support.MESH for geom in contacts.computed)
-        shapes = ("pair_", *(("mesh_vert", "hfield_") if shaped else ()))
+        shapes = ("pair_", *(("mesh_vert", "hfield_") if self.geoms else ()))
         for name in sorted(varying):
             if name.startswith(shapes):
                 raise support.refuse(f"a field {name!r} of contacts that differs between worlds")
@@ -192,7 +189,7 @@ class LanesStepper:
         between, doubtful = body_contacts(
             self.between, self._owners, self._columns, parameters, placed, moving, speeds, self._elliptic, self._dtype
         )
-        over_planes = contact_points(self._model, self.plan, parameters, moving, self._elliptic, self._dtype)
+        over_planes = contact_points(self.plan, parameters, moving, self._elliptic, self._dtype)
         found: list[Constraint] = [
             *dof_constraints(self.plan, parameters, q, speeds),
             *side_by_side(over_planes, lanes, self._dtype),

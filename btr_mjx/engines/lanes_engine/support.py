@@ -12,15 +12,12 @@ from btr_mjx.engines.guards.pairs import (
     CAPSULE,
     CYLINDER,
     ELLIPSOID,
-    MESH,
     PLANE,
     SPHERE,
     GeomPair,
     contact_condim,
     explicit_pairs,
     geom_pairs,
-    near_plane,
-    reference_poses,
 )
 from btr_mjx.engines.lanes_engine.tree import BALL, FREE
 from btr_mjx.engines.lanes_engine.tree_builder import active_equalities, make_plan, moving_tendons
@@ -241,10 +238,9 @@ def _check_size(m: mujoco.MjModel) -> Iterator[str]:
 def possible_contacts(m: mujoco.MjModel) -> Contacts:
     """The pairs of geoms that MuJoCo can collide, with what this engine does with them."""
     found = Contacts({}, [], [])
-    poses = reference_poses(m)
     for pair in geom_pairs(m):
         condim = contact_condim(m, pair)
-        reason = _not_computed(m, poses, pair)
+        reason = _not_computed(m, pair)
         if reason:
             found.guarded.append(Guarded(pair, f"{reason} ({_both(m, pair.first, pair.second)})"))
         elif m.geom_type[pair.first] == PLANE:
@@ -258,7 +254,7 @@ def _both(m: mujoco.MjModel, g1: int, g2: int) -> str:
     return f"{name(m, mujoco.mjtObj.mjOBJ_GEOM, g1)} and {name(m, mujoco.mjtObj.mjOBJ_GEOM, g2)}"
 
 
-def _not_computed(m: mujoco.MjModel, poses: tuple[np.ndarray, np.ndarray], pair: GeomPair) -> str:
+def _not_computed(m: mujoco.MjModel, pair: GeomPair) -> str:
     """Why a contact is not computed; empty if it is."""
     own = pair.explicit
     if own >= 0:
@@ -271,12 +267,8 @@ def _not_computed(m: mujoco.MjModel, poses: tuple[np.ndarray, np.ndarray], pair:
     if PLANE in kinds:
         if m.body_weldid[m.geom_bodyid[pair.first]] != 0:
             return "contact with a plane that moves"
-        if m.geom_type[pair.second] not in (SPHERE, CAPSULE, BOX, CYLINDER, ELLIPSOID, MESH):
+        if m.geom_type[pair.second] not in (SPHERE, CAPSULE, BOX, CYLINDER, ELLIPSOID):
             return f"contact of {mujoco.mjtGeom(m.geom_type[pair.second]).name} with a plane"
-        if m.geom_type[pair.second] == MESH and not m.mesh_polynum[m.geom_dataid[pair.second]]:
-            return "contact of a mesh without a convex hull with a plane"
-        if m.geom_type[pair.second] == MESH and not near_plane(m, poses, pair.first, pair.second):
-            return "contact of a mesh with a plane that is far from it at first"
     elif not kinds <= {SPHERE, CAPSULE}:
         return "contact between geoms other than spheres, capsules and planes"
     return ""

@@ -1,4 +1,4 @@
-"""Contact points of spheres, capsules, boxes, cylinders, ellipsoids and meshes with fixed planes.
+"""Contact points of spheres, capsules, boxes, cylinders and ellipsoids with fixed planes.
 
 Source: google-deepmind/mujoco, mjc_PlaneSphere, mjc_PlaneCapsule, mjc_PlaneBox, mjc_PlaneCylinder; impedance and
 reference acceleration as in mj_makeImpedance and mj_referenceConstraint.
@@ -11,11 +11,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 
 from btr_mjx.engines.lanes_engine import support
-from btr_mjx.engines.lanes_engine.constraints import mesh_points
 from btr_mjx.engines.lanes_engine.constraints.cones import impedance
 from btr_mjx.engines.lanes_engine.constraints.friction_cones import make_cone
 from btr_mjx.engines.lanes_engine.constraints.points import Contact
@@ -31,7 +29,6 @@ from btr_mjx.engines.scalars import (
     cross,
     dot,
     is_zero,
-    matmul,
     matvec,
     mul,
     neg,
@@ -44,9 +41,7 @@ from btr_mjx.engines.scalars import (
 )
 
 
-def _points(
-    model: mujoco.MjModel, parameters: Parameters, key: str, touch: Touch, m: Motion, dtype: Any
-) -> list[tuple[list[Scalar], Any]]:
+def _points(parameters: Parameters, key: str, touch: Touch, m: Motion) -> list[tuple[list[Scalar], Any]]:
     """Candidate points: offset from the link's origin, and in which worlds they can touch; None for all."""
     centre = matvec(m.rotation, parameters[f"{key}/centre"])
     if touch.kind == support.SPHERE:
@@ -57,11 +52,6 @@ def _points(
     normal = parameters.matrix(f"plane{touch.plane}/frame")[0]
     if touch.kind == support.CYLINDER:
         return [(vadd(centre, point), None) for point in _rim_points(parameters, key, normal, m)]
-    if touch.kind == support.MESH:
-        axes = matmul(m.rotation, parameters.matrix(f"{key}/axes"))
-        down = [neg(x) for x in matvec(transpose(axes), normal)]
-        found = mesh_points.points(mesh_points.hulls(model, touch.geoms), down, dtype)
-        return [(vadd(centre, matvec(axes, point)), possible) for point, possible in found]
     edges = [matvec(m.rotation, row) for row in parameters.matrix(f"{key}/edges")]
     if touch.kind == support.ELLIPSOID:
         along = [dot(edge, normal) for edge in edges]
@@ -127,7 +117,6 @@ class _GeomOverPlane:
 
 
 def contact_points(
-    model: mujoco.MjModel,
     plan: TreePlan,
     parameters: Parameters,
     motions: Sequence[Motion],
@@ -142,7 +131,7 @@ def contact_points(
             frame = _contact_frame(parameters, key, touch, m, elliptic)
             base = sub(dot(frame[0], m.position), parameters.one(f"plane{touch.plane}/offset"))
             geom = _GeomOverPlane(key, link, touch, m, frame, base)
-            for offset, possible in _points(model, parameters, key, touch, m, dtype):
+            for offset, possible in _points(parameters, key, touch, m):
                 found.append(_contact(parameters, geom, offset, possible, elliptic, dtype))
     return found
 
