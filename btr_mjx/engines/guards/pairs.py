@@ -97,27 +97,6 @@ def bounding_box(model: mujoco.MjModel, geom: int) -> np.ndarray:
     return box
 
 
-NEAR = 0.25
-"""Distance in qpos0 or a keyframe, in half diagonals of a mesh's bounding box, within which it is treated more exactly.
-
-Meshes are then told apart by their hulls; others are guarded by their boxes, which takes less time.
-Of 8 robots of MuJoCo's Menagerie whose meshes never touch but whose boxes do from the start, guards along native
-rollouts of half a second clear 6, with 0 in place of 0.25 only 4.
-"""
-
-
-def reference_poses(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (S, ngeom, 3) and rotations (S, ngeom, 3, 3) of all geoms in qpos0 and each keyframe."""
-    data, places, turns = mujoco.MjData(model), [], []
-    for key in range(-1, model.nkey):
-        if key >= 0:
-            mujoco.mj_resetDataKeyframe(model, data, key)
-        mujoco.mj_kinematics(model, data)
-        places.append(np.array(data.geom_xpos))
-        turns.append(np.array(data.geom_xmat).reshape(-1, 3, 3))
-    return np.stack(places), np.stack(turns)
-
-
 def explicit_pairs(model: mujoco.MjModel, g1: int, g2: int) -> list[int]:
     """Numbers of the <pair> elements that name two geoms."""
     one, other = model.pair_geom1, model.pair_geom2

@@ -108,7 +108,6 @@ class LanesStepper:
         self._columns = columns(model, self.plan)
         table = derive(model, self.plan, Fields(model, self._masks, twice), self.geoms, self.between)
         self._constants, arrays = split_constants(table)
-        self._varying_names = frozenset(arrays)
         self._zone_layout: list[tuple[int, tuple[int, ...]]] = []
         sample = {key: [np.asarray(column[0], self._dtype) for column in columns] for key, columns in arrays.items()}
         jax.eval_shape(self._record_zone_layout, sample)
