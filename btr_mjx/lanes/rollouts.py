@@ -111,13 +111,9 @@ def rollout(
     else:
         try:
             leaves = _with_constants(m, count, leaves)
-            structure, names = _Structure(content_digest(m), m), tuple(sorted(leaves))
-            if names not in _tried(structure):
-                require_supported(m, guards=True)
-                note = _touching_at_once(m, start, control, leaves)
-            if not note:
-                program = _program(structure, names, chunk)
-                _tried(structure).add(names)
+            rows = np.unique(np.linspace(0, count - 1, _SAMPLE).astype(int))
+            sample = _Sample(start[rows], control[rows], {name: x[rows] for name, x in leaves.items()})
+            program = _program(_Structure(content_digest(m), tuple(sorted(leaves)), m, sample), chunk)
         except UnsupportedModel as error:
             note = str(error).split(";")[0]
     if program is None:
@@ -148,9 +144,7 @@ def rollout(
     return LanesRollout(state, engine, "")
 
 
-def _touching_at_once(
-    m: mujoco.MjModel, start: np.ndarray, control: np.ndarray, leaves: Mapping[str, np.ndarray]
-) -> str:
+def _touching_at_once(m: mujoco.MjModel, sample: "_Sample") -> str:
     """Why guards would hand over most worlds, from native rollouts of a few; empty if they need not.
 
     Compiling takes longer than this, and would be in vain.
@@ -158,21 +152,21 @@ def _touching_at_once(
     guarded = np.zeros((m.ngeom, m.ngeom), bool)
     for own in possible_contacts(m).guarded:
         guarded[own.pair.first, own.pair.second] = guarded[own.pair.second, own.pair.first] = True
-    rows = np.unique(np.linspace(0, len(start) - 1, _SAMPLE).astype(int))
-    touching = 0
-    for row in rows if guarded.any() else ():
-        model = _with_fields(m, {name: values[row] for name, values in leaves.items()}) if leaves else m
+    touching, count = 0, len(sample.start)
+    for row in range(count) if guarded.any() else ():
+        fields = {name: values[row] for name, values in sample.leaves.items()}
+        model = _with_fields(m, fields) if fields else m
         data = mujoco.MjData(model)
-        mujoco.mj_setState(model, data, start[row], _FULL)
-        for control_row in control[row]:
+        mujoco.mj_setState(model, data, sample.start[row], _FULL)
+        for control_row in sample.control[row]:
             data.ctrl[:] = control_row
             mujoco.mj_step(model, data)
             if guarded[tuple(data.contact.geom.T)].any():
                 touching += 1
                 break
-    if touching <= _MAX_TRIPPED * len(rows):
+    if touching <= _MAX_TRIPPED * count:
         return ""
-    return f"bodies whose contact lanes does not compute touch in {touching} of {len(rows)} worlds that were tried"
+    return f"bodies whose contact lanes does not compute touch in {touching} of {count} worlds that were tried"
 
 
 def _with_fields(m: mujoco.MjModel, fields: Mapping[str, np.ndarray]) -> mujoco.MjModel:
@@ -263,29 +257,48 @@ def _with_constants(m: mujoco.MjModel, count: int, leaves: dict[str, np.ndarray]
     return {name: np.array(batch.expand(name)) for name in names} | leaves
 
 
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """States (n, size), controls (n, T, nu) and varying fields (n, ...) of a few worlds."""
+
+    start: np.ndarray
+    control: np.ndarray
+    leaves: Mapping[str, np.ndarray]
+
+
 @dataclass(frozen=True)
 class _Structure:
-    """A model as a key of caches, which compares by its bytes."""
+    """What a program is made of, as a key of caches: the bytes of a model, and the fields in which worlds differ."""
 
     digest: str
+    varying: tuple[str, ...]
     model: mujoco.MjModel = field(compare=False)
+    sample: _Sample = field(compare=False)
 
 
-@lru_cache(maxsize=16)
-def _tried(structure: _Structure) -> set[tuple[str, ...]]:
-    """Varying fields with which a model has passed all that precedes compiling: it is not tried in every call."""
-    return set()
+def _program(structure: _Structure, chunk: int | None) -> "ControlledProgram":
+    """The compiled program of a model.
 
-
-def _program(structure: _Structure, varying: tuple[str, ...], chunk: int | None) -> "ControlledProgram":
-    """The compiled program of a model."""
+    Raises:
+      UnsupportedModel: lanes does not compute it, or hardly any of its worlds.
+    """
+    _admitted(structure)
     from btr_mjx.engines import uses_doubles  # loads JAX, which takes seconds and bad input should not
 
-    return _compiled(structure, varying, chunk, uses_doubles())
+    return _compiled(structure, chunk, uses_doubles())
 
 
 @lru_cache(maxsize=16)
-def _compiled(structure: _Structure, varying: tuple[str, ...], chunk: int | None, x64: bool) -> "ControlledProgram":
+def _admitted(structure: _Structure) -> mujoco.MjModel:
+    """A copy of a model that is worth compiling: the caller may change the model later; what is traced must not."""
+    require_supported(structure.model, guards=True)
+    if note := _touching_at_once(structure.model, structure.sample):
+        raise UnsupportedModel(note)
+    return copy.copy(structure.model)
+
+
+@lru_cache(maxsize=16)
+def _compiled(structure: _Structure, chunk: int | None, x64: bool) -> "ControlledProgram":
     import jax
 
     from btr_mjx.engines import (
@@ -300,8 +313,7 @@ def _compiled(structure: _Structure, varying: tuple[str, ...], chunk: int | None
     use_all_cores()
     use_compilation_cache()
     devices = jax.devices()
-    # The caller may change the model later; what is traced then must not.
-    stepper = LanesStepper(copy.copy(structure.model), varying, guards=True)
+    stepper = LanesStepper(_admitted(structure), structure.varying, guards=True)
     capacity = _CAPACITY if devices[0].platform == "cpu" else 1
     layout = Layout(len(devices), capacity, chunk or default_chunk(devices[0]))
     return ControlledProgram(stepper, layout, devices, _SEGMENT)

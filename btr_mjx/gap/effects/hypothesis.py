@@ -27,7 +27,7 @@ class Hypothesis:
     _worlds: dict[int, tuple[mujoco.MjModel, World]] = field(
         default_factory=dict, init=False, repr=False, compare=False, hash=False
     )
-    _shorter: "list[Hypothesis]" = field(default_factory=list, init=False, repr=False, compare=False, hash=False)
+    _shorter: "Hypothesis | None" = field(default=None, repr=False, compare=False, hash=False)
 
     def __call__(self, model: mujoco.MjModel) -> World:
         """The world of a recording whose believed model is `model`, made once: it must not be edited."""
@@ -45,9 +45,8 @@ class Hypothesis:
 
     def _begun(self, model: mujoco.MjModel) -> tuple[World, Sequence[tuple[Candidate, tuple[float, ...]]]]:
         """A world to be edited, and the effects that it lacks: the last one, where what is shorter has a world."""
-        for shorter in self._shorter:
-            if id(model) in shorter._worlds:
-                return shorter(model).copy(), self.effects[-1:]
+        if self._shorter is not None and id(model) in self._shorter._worlds:
+            return self._shorter(model).copy(), self.effects[-1:]
         world = World.of(model)
         for parameter, value in zip(self.parameters, self.believed, strict=True):
             parameter.write(world.model, value)
@@ -58,9 +57,7 @@ class Hypothesis:
     def with_effect(self, candidate: Candidate, values: Sequence[float] | np.ndarray) -> "Hypothesis":
         """The same with one more effect; its worlds begin as copies of those of this one that were made before."""
         added = (candidate, tuple(float(value) for value in values))
-        out = replace(self, effects=(*self.effects, added))
-        out._shorter.append(self)
-        return out
+        return replace(self, effects=(*self.effects, added), _shorter=self)
 
     @property
     def numbers(self) -> int:
@@ -86,7 +83,7 @@ class Hypothesis:
         for candidate, own in self.effects:
             effects.append((candidate, tuple(rest[first : first + len(own)])))
             first += len(own)
-        return replace(self, believed=believed, effects=tuple(effects))
+        return Hypothesis(self.parameters, believed, tuple(effects))
 
 
 def believed_steps(parameters: Sequence[PathParameter], values: Sequence[float]) -> np.ndarray:
