@@ -111,8 +111,8 @@ def rollout(
     else:
         try:
             leaves = _with_constants(m, count, leaves)
-            rows = np.unique(np.linspace(0, count - 1, _SAMPLE).astype(int))
-            sample = _Sample(start[rows], control[rows], {name: x[rows] for name, x in leaves.items()})
+            few = np.unique(np.linspace(0, count - 1, _SAMPLE).astype(int))
+            sample = _Sample(start[few], control[few], {name: x[few] for name, x in leaves.items()})
             program = _program(_Structure(content_digest(m), tuple(sorted(leaves)), m, sample), chunk)
         except UnsupportedModel as error:
             note = str(error).split(";")[0]
