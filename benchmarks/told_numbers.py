@@ -78,7 +78,6 @@ def case(config: Config, seed: int) -> dict[str, Any]:
     """One co-evolution: every unknown number with its interval and its true value."""
     settings = CoevolveConfig(
         robot=robot_folder(config),
-        engine="native",
         reality_engine="native",
         reality_timestep=0.0005,
         optimiser="cma",

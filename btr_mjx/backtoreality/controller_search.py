@@ -7,9 +7,9 @@ import numpy as np
 from btr_mjx.backtoreality.run_state import Problem, Progress, State
 from btr_mjx.backtoreality.search_record import Report, after_generation, archive_of, generation_row
 from btr_mjx.backtoreality.settings import SearchSettings
-from btr_mjx.backtoreality.simulation_search import counting_trials, genetic_algorithm
+from btr_mjx.backtoreality.simulation_search import genetic_algorithm
 from btr_mjx.backtoreality.told_words import told_by_plan
-from btr_mjx.backtoreality.trial_information import informative
+from btr_mjx.backtoreality.trial_information import informative, told_by_trials
 from btr_mjx.evaluation import DISTANCE, Engine, FitnessLike, evaluate, fitness_function
 from btr_mjx.optimise import GAState, GeneticAlgorithm
 from btr_mjx.robots import Robot
@@ -47,9 +47,8 @@ def _chosen(problem: Problem, state: State) -> tuple[np.ndarray, np.ndarray]:
     if settings.choose == "informative":
         last = select_transferable(state.genomes[-1:], state.scores[-1:], settings.controllers, maximise)
         if len(last[0]) > settings.trials:
-            tried = state.trials.controllers[counting_trials(problem, state.trials, state.iteration)]
-            candidates = problem.controller_box.decode(last[0])
-            order = informative(problem, state.simulation, tried, candidates)[: settings.trials]
+            told = told_by_trials(problem, state.simulation, state.trials, state.iteration)
+            order = informative(problem, told, problem.controller_box.decode(last[0]))[: settings.trials]
             return last[0][order], last[1][order]
     return select_transferable(state.genomes, state.scores, settings.trials, maximise)
 

@@ -1,16 +1,17 @@
 """What trials tell of the unknown numbers: Fisher information of fitness, intervals, what is told of combinations.
 
-In the best simulation s, N measured values of fitness leave residuals r, whose slopes J (N, p) along the unknown
-numbers are found by finite differences. With each number's range as a prior of the same variance P^-1, the linear
-picture gives
+In the best simulation s, N measured values of fitness leave residuals r. A regression over simulations around it gives
+the slopes J (N, p) of fitness along the unknown numbers. With each number's range as a prior of the same variance P^-1,
+the linear picture is
 
     covariance C = (J'J / v + P)^-1        estimate = s - C (J'r / v + P (s - middle))
 
-with the variance v of a value: that of repeated measurements, that by which fitness differs from a parabola, and N
+with the variance v of a value: that of repeated measurements, that by which fitness differs from the regression, and N
 times that of the residuals where these are larger than noise: trials of similar controllers share what the simulator
-lacks, and many of them tell no more of the numbers than one. What a slope owes to roughness is taken from
-J'J. A difference is as wide as the interval that it gives: motion with contacts has rough fitness, whose slope
-at a point says nothing of a simulation that is a tenth of the range away.
+lacks, and many of them tell no more of the numbers than one. What slopes owe to roughness is taken from J'J.
+
+The regression is over the simulations that C leaves possible, so that it is found in rounds, from the prior on: fitness
+is no straight line over the whole range, and motion with contacts is so rough that a slope at a point says nothing.
 """
 
 from dataclasses import dataclass
@@ -22,18 +23,17 @@ import scipy
 from btr_mjx.backtoreality.run_state import Problem, Trials
 from btr_mjx.backtoreality.simulation_search import compared_fitness, counting_trials
 
-SLOPE_STEPS = (0.3, 0.15, 0.075)
-"""Steps of finite differences, as shares of a number's range; each also takes the values at half of it. With the widest
-alone, or a narrower one, fewer true numbers are within their intervals (`benchmarks/told_numbers.py`)."""
-
 LEVEL = 0.9
 """Probability of an interval."""
 
 TOLD = 0.5
 """Part of its range that the interval of a number that is told does not exceed."""
 
-_MIRRORED = 1.5
-"""Where a step would leave the range, it goes so many times as far to the other side."""
+_ROUNDS = 4
+"""Regressions, each over what the one before leaves possible."""
+
+_PER_SLOPE = 4
+"""Simulations of a regression, for each of its coefficients."""
 
 _CHANCE = 0.05
 """Probability with which known noise leaves residuals that count as more than noise."""
@@ -56,24 +56,17 @@ _BEST_FIRST = 2
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Fitness of trials around a simulation, with p unknown numbers in units of their ranges.
+    """Regression of N values of fitness over simulations with p unknown numbers, in units of their ranges.
 
     Attributes:
-      values: (N,) fitness in the simulation.
-      slopes: (S, N, p) derivatives, by steps of S sizes.
-      rough: (S, p) mean square difference of fitness from the parabola behind a slope.
-      gain: (S, p) variance of a slope, in units of `rough`.
+      slopes: (N, p) derivatives; NaN where a pair diverged.
+      rough: mean square difference of fitness from the regression.
+      gain: (p, p) covariance of a value's slopes, in units of `rough`.
     """
 
-    values: np.ndarray
     slopes: np.ndarray
-    rough: np.ndarray
+    rough: float
     gain: np.ndarray
-
-    def weighted(self, weight: np.ndarray) -> "Slopes":
-        """The same in other units: values times a weight (N,)."""
-        rough = self.rough * np.mean(weight**2)
-        return Slopes(self.values * weight, self.slopes * weight[:, None], rough, self.gain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,114 +119,123 @@ class Told:
         return found
 
 
-def fitness_slopes(problem: Problem, simulation: np.ndarray, controllers: np.ndarray) -> Slopes:
-    """Fitness that step 3 compares, of controllers (M, n_c) in a simulation (n_s,), and its slopes.
+def fitness_slopes(
+    problem: Problem, at: np.ndarray, covariance: np.ndarray, controllers: np.ndarray, weight: np.ndarray, seed: int
+) -> Slopes:
+    """Regression of the fitness that step 3 compares.
 
-    One batch of `slope_simulations` simulations. N is M times the marks; values of controllers that diverged are NaN.
+    Args:
+      problem: the problem.
+      at: (p,) unknown numbers around which simulations are drawn, as shares of their ranges.
+      covariance: (p, p) of what is drawn.
+      controllers: (M, n_c).
+      weight: (N,) units of the values, N being M times the marks.
+      seed: of the draws.
     """
-    box, at = problem.simulation_box, shares_of(problem, simulation)
-    own = simulation[problem.robot.simulation_box.indices(problem.unknown)]
-    sizes = np.array([*SLOPE_STEPS, SLOPE_STEPS[-1] / 2])
-    offsets = np.concatenate([-sizes, sizes])[:, None]
-    outside = np.abs(at + offsets - 0.5) > 0.5
-    places = at + np.where(outside, -_MIRRORED * offsets, offsets)
-    rows = np.tile(own, (box.n, len(places), 1))
-    for i in range(box.n):
-        rows[i, :, i] = np.clip(box.low[i] + box.span[i] * places[:, i], box.low[i], box.high[i])
-    members = problem.embed(np.concatenate([own[None], rows.reshape(-1, box.n)]))
-    found = compared_fitness(problem, members, controllers).reshape(len(members), -1)
-    centre, beside = found[0], found[1:].reshape(box.n, len(places), -1)
-    slopes = np.empty((len(SLOPE_STEPS), len(centre), box.n))
-    rough, gain = np.empty((2, len(SLOPE_STEPS), box.n))
-    for size in range(len(SLOPE_STEPS)):
-        pick = [size, size + 1, size + len(sizes), size + 1 + len(sizes)]
-        for i in range(box.n):
-            powers = np.vander(np.append(0.0, places[pick, i] - at[i]), 3, increasing=True)
-            fit, values = np.linalg.pinv(powers), np.concatenate([centre[None], beside[i, pick]])
-            left = values - powers @ (fit @ values)
-            slopes[size, :, i] = fit[1] @ values
-            squares = (left**2).sum(0) / (len(powers) - powers.shape[1])
-            rough[size, i] = np.mean(squares, where=np.isfinite(squares)) if np.isfinite(squares).any() else 0.0
-            gain[size, i] = (fit[1] ** 2).sum()
-    return Slopes(centre, slopes, rough, gain)
+    p = len(at)
+    draws = np.random.default_rng([problem.seed, seed]).standard_normal((_PER_SLOPE * (p + 1) // 2, p))
+    # In pairs, so that bends leave slopes alone, and of exactly this covariance.
+    steps = np.sqrt(len(draws)) * np.linalg.qr(draws)[0] @ np.linalg.cholesky(covariance).T
+    places = 1 - np.abs(np.mod(at + np.concatenate([steps, -steps]), 2) - 1)  # mirrored at the ends of the ranges
+    values = _compared(problem, places, controllers) * weight
+    columns = np.column_stack([np.ones(len(places)), places - at])
+    fit = np.linalg.pinv(columns)
+    left = values - columns @ (fit @ values)
+    squares = (left**2).sum(axis=0) / (len(places) - p - 1)
+    good = np.isfinite(squares)
+    return Slopes((fit @ values)[1:].T, float(squares[good].mean()) if good.any() else 0.0, (fit @ fit.T)[1:, 1:])
 
 
 def slope_simulations(problem: Problem) -> int:
-    """Simulations behind the slopes."""
-    return 2 * (len(SLOPE_STEPS) + 1) * len(problem.unknown) + 1
+    """Simulations behind what trials tell."""
+    return _ROUNDS * 2 * (_PER_SLOPE * (len(problem.unknown) + 1) // 2) + 1
 
 
-def told_by(slopes: Slopes, residual: np.ndarray, at: np.ndarray, noise: float = 0.0) -> Told:
-    """Estimates of numbers and their errors.
+def told_by(
+    problem: Problem,
+    simulation: np.ndarray,
+    controllers: np.ndarray,
+    measured: np.ndarray | None = None,
+    noise: float = 0.0,
+    weight: np.ndarray | None = None,
+) -> Told:
+    """Estimates of unknown numbers and their errors.
 
     Args:
-      slopes: of N values.
-      residual: (N,) simulated less measured values; those that are NaN, or whose slopes are, do not count.
-      at: (p,) the simulation's numbers, as shares of their ranges.
+      problem: the problem.
+      simulation: (n_s,) that fits the trials best.
+      controllers: (M, n_c) of the trials.
+      measured: (N,) values, N being M times the marks; None for those of the simulation itself.
       noise: known standard deviation of a measured value.
-
-    Returns:
-      What is told, in units of the ranges.
+      weight: (N,) by which values are multiplied before they are compared; None for 1.
     """
-    good = np.isfinite(residual) & np.isfinite(slopes.slopes).all(axis=(0, 2))
-    residual, jacobians = residual[good], slopes.slopes[:, good]
-    count, p = len(residual), len(at)
-    square = float(residual @ residual)
+    at = shares_of(problem, simulation)
+    told = Told(at, np.full(len(at), 0.5), np.eye(len(at)) / _PRIOR)
+    if not len(controllers):
+        return told
+    values = _compared(problem, at[None], controllers)[0]
+    weight = np.ones(len(values)) if weight is None else weight
+    residual = np.zeros(len(values)) if measured is None else (values - measured) * weight
+    for seed in range(_ROUNDS):
+        slopes = fitness_slopes(problem, at, told.covariance, controllers, weight, seed)
+        good = np.isfinite(residual) & np.isfinite(slopes.slopes).all(axis=1)
+        least = np.finfo(float).eps * float(np.mean((values * weight)[good] ** 2)) if good.any() else 1.0
+        told = _posterior(at, residual[good], slopes.slopes[good], slopes, noise, least)
+    return told
+
+
+def _posterior(
+    at: np.ndarray, residual: np.ndarray, jacobian: np.ndarray, slopes: Slopes, noise: float, least: float
+) -> Told:
+    """The linear picture of N values: residuals (N,) and slopes (N, p); `least` is the least variance of a value."""
+    count, square = len(residual), float(residual @ residual)
     more = square > noise**2 * scipy.stats.chi2.isf(_CHANCE, max(count, 1))
     # The fit hides a part of what the simulator lacks.
-    shared = max(square - count * noise**2, 0.0) * count / max(count - p, 1) if more else 0.0
-    least = np.finfo(float).eps * float(np.mean(slopes.values[good] ** 2)) if count else 1.0
-    size, numbers = np.zeros(p, int), np.arange(p)
-    while True:
-        jacobian, rough = jacobians[size, :, numbers].T, slopes.rough[size, numbers]
-        variance = max(noise**2 + shared + float(np.mean(rough)), least)
-        by_roughness = np.diag(count * rough * slopes.gain[size, numbers])
-        squares, axes = np.linalg.eigh(jacobian.T @ jacobian - by_roughness)
-        covariance = (axes / (np.maximum(squares, 0.0) / variance + _PRIOR)) @ axes.T
-        estimate = at - covariance @ (jacobian.T @ residual / variance + _PRIOR * (at - 0.5))
-        told = Told(at, np.clip(estimate, 0.0, 1.0), covariance)
-        smaller = (told.reach < np.array(SLOPE_STEPS)[size] / 2) & (size < len(SLOPE_STEPS) - 1)
-        if not smaller.any():
-            return told
-        size = size + smaller
+    shared = max(square - count * noise**2, 0.0) * count / max(count - len(at), 1) if more else 0.0
+    variance = max(noise**2 + shared + slopes.rough, least)
+    squares, axes = np.linalg.eigh(jacobian.T @ jacobian - count * slopes.rough * slopes.gain)
+    covariance = (axes / (np.maximum(squares, 0.0) / variance + _PRIOR)) @ axes.T
+    estimate = at - covariance @ (jacobian.T @ residual / variance + _PRIOR * (at - 0.5))
+    return Told(at, np.clip(estimate, 0.0, 1.0), covariance)
 
 
 def told_by_trials(problem: Problem, simulation: np.ndarray, trials: Trials, iteration: int) -> Told:
     """What the trials that step 3 compared tell of the unknown numbers, beside the simulation (n_s,) that it found."""
     use = counting_trials(problem, trials, iteration)
-    slopes = fitness_slopes(problem, simulation, trials.controllers[use])
-    known = 0.0
     if problem.settings.compared == "fitness":
-        real, scale, noise = trials.f_r[use][:, None], np.ones(1), getattr(problem.reality, "noise", np.nan)
-        if getattr(problem.reality, "truth", None) is None and np.isfinite(noise):
-            known = float(noise)
+        real, scale, known = trials.f_r[use][:, None], np.ones(1), getattr(problem.reality, "noise", np.nan)
+        noise = float(known) if getattr(problem.reality, "truth", None) is None and np.isfinite(known) else 0.0
     else:
-        real = trials.f_marks[use]
+        real, noise = trials.f_marks[use], 0.0
         scale = 1 / np.maximum(real.std(axis=0), np.finfo(float).tiny)
     weight = np.tile(scale, len(real))
-    residual = (slopes.values - real.reshape(-1)) * weight
-    return told_by(slopes.weighted(weight), residual, shares_of(problem, simulation), known)
+    return told_by(problem, simulation, trials.controllers[use], real.reshape(-1), noise, weight)
 
 
-def informative(problem: Problem, simulation: np.ndarray, tried: np.ndarray, candidates: np.ndarray) -> list[int]:
-    """Candidates (M, n_c) by how much their trials tell, beside those tried (n, n_c): a greedy D-optimal order.
+def informative(problem: Problem, told: Told, candidates: np.ndarray) -> list[int]:
+    """Candidates (M, n_c) by how much their trials tell beside what is told already: a greedy D-optimal order.
 
     The first two keep their places. Each of the others is the one with which the log-volume of what is not known falls
     most, if measurements scatter as in `told_words.told_by_plan`.
     """
-    slopes = fitness_slopes(problem, simulation, np.concatenate([tried, candidates]))
-    scatter = PLANNED_SCATTER * np.sqrt(np.nanmean(slopes.values**2))
-    variance = float(scatter**2 + slopes.rough[0].mean())
-    p = slopes.slopes.shape[2]
-    rows = np.nan_to_num(slopes.slopes[0]).reshape(len(tried) + len(candidates), -1, p) / np.sqrt(variance)
-    own, others = rows[len(tried) :], rows[: len(tried)].reshape(-1, p)
-    information = others.T @ others + _PRIOR * np.eye(p)
-    order, left = list[int](), list(range(len(own)))
+    values = _compared(problem, told.at[None], candidates)[0]
+    slopes = fitness_slopes(problem, told.at, told.covariance, candidates, np.ones(len(values)), _ROUNDS)
+    variance = float(PLANNED_SCATTER**2 * np.nanmean(values**2) + slopes.rough)
+    rows = np.nan_to_num(slopes.slopes).reshape(len(candidates), -1, len(told.at)) / np.sqrt(variance)
+    information = np.linalg.inv(told.covariance)
+    order, left = list[int](), list(range(len(rows)))
     while left:
-        volumes = [np.linalg.slogdet(information + own[i].T @ own[i])[1] for i in left]
+        volumes = [np.linalg.slogdet(information + rows[i].T @ rows[i])[1] for i in left]
         order.append(left.pop(0 if len(order) < _BEST_FIRST else int(np.argmax(volumes))))
-        information = information + own[order[-1]].T @ own[order[-1]]
+        information = information + rows[order[-1]].T @ rows[order[-1]]
     return order
+
+
+def _compared(problem: Problem, shares: np.ndarray, controllers: np.ndarray) -> np.ndarray:
+    """(L, N) values that step 3 compares, in simulations whose unknown numbers are shares (L, p) of their ranges."""
+    box = problem.simulation_box
+    members = problem.embed(box.low + box.span * shares)
+    return compared_fitness(problem, members, controllers).reshape(len(shares), -1)
 
 
 def shares_of(problem: Problem, simulation: np.ndarray) -> np.ndarray:

@@ -9,14 +9,7 @@ import pytest
 from btr_mjx.backtoreality import CoevolveConfig, Problem, build_problem
 from btr_mjx.backtoreality.run_state import Trials
 from btr_mjx.backtoreality.told_words import told_by_plan, told_record, told_sentence
-from btr_mjx.backtoreality.trial_information import (
-    SLOPE_STEPS,
-    Slopes,
-    fitness_slopes,
-    informative,
-    told_by,
-    told_by_trials,
-)
+from btr_mjx.backtoreality.trial_information import fitness_slopes, informative, told_by, told_by_trials
 from btr_mjx.evaluation import FitnessFunction, Outcome
 from btr_mjx.robots import Pairs, Robot
 
@@ -72,15 +65,24 @@ class Measured:
 
 
 @pytest.mark.parametrize("at", [[0.3, 0.4], [0.05, 1.0], [0.6, 0.02]])
-def test_slopes_of_a_parabola(at: list[float]) -> None:
-    """At bounds as well, where all differences lie on one side."""
-    made, simulation = problem(Parabola(bend=2.0)), np.array(at)
-    controllers = trials_of(made, simulation, 5).controllers
-    found = fitness_slopes(made, simulation, controllers)
-    expected = (controllers[:, :2] + [4.0 * at[0], 0.0]) * SPAN
-    for slopes in found.slopes:
-        np.testing.assert_allclose(slopes, expected, rtol=1e-8, atol=1e-9)
+def test_slopes_of_a_straight_line(at: list[float]) -> None:
+    """At bounds as well, where draws are mirrored."""
+    made = problem(Parabola())
+    shares, controllers = (np.array(at) - LOW) / SPAN, trials_of(made, np.array(at), 5).controllers
+    found = fitness_slopes(made, shares, np.array([[0.08, 0.02], [0.02, 0.01]]), controllers, np.ones(5), 0)
+    np.testing.assert_allclose(found.slopes, controllers[:, :2] * SPAN, rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(found.rough, 0.0, atol=1e-20)
+
+
+def test_slopes_of_a_parabola() -> None:
+    """Those at its centre: draws come in pairs. Their covariance is that of least squares with the wanted one."""
+    made, at, covariance = problem(Parabola(bend=2.0)), np.array([0.3, 0.4]), np.diag([4e-4, 9e-4])
+    controllers, weight = trials_of(made, at, 5).controllers, np.linspace(1, 2, 5)
+    found = fitness_slopes(made, (at - LOW) / SPAN, covariance, controllers, weight, 0)
+    expected = (controllers[:, :2] + [4.0 * at[0], 0.0]) * SPAN * weight[:, None]
+    np.testing.assert_allclose(found.slopes, expected, rtol=1e-8)
+    assert found.rough > 0
+    np.testing.assert_allclose(found.gain, np.linalg.inv(12 * covariance), rtol=1e-8, atol=1e-9)
 
 
 def test_intervals_of_linear_fitness_are_the_closed_form() -> None:
@@ -122,43 +124,58 @@ def test_only_the_sum_of_two_numbers_is_told() -> None:
     assert "can tell ball mass and elbow damping" in told_by_plan(problem(Parabola()), at, controllers)
 
 
+def test_bent_fitness_is_told_as_its_slope_at_the_truth_tells_it() -> None:
+    """Over the whole range the fitness is no straight line; near the truth it is, and residuals are small there."""
+    made, truth = problem(Parabola(bend=-2.0)), np.array([0.2, 0.3])
+    trials = trials_of(made, truth, 12)
+    at = truth + np.array([2e-4, -1e-4])
+    error = made.simulate(at[None], trials.controllers)[0] - trials.f_r
+    design = (trials.controllers[:, :2] + [-4.0 * truth[0], 0.0]) * SPAN
+    variance = 12 * (error @ error) / (12 - 2)  # of an error that all trials share
+    reach = 1.6448536 * np.sqrt(np.diag(np.linalg.inv(design.T @ design / variance + 12 * np.eye(2))))
+    found = told_by_trials(made, at, trials, 1)
+    np.testing.assert_allclose(found.reach, reach, rtol=0.02)
+    np.testing.assert_allclose(found.estimate, (truth - LOW) / SPAN, atol=0.05 * reach.min())
+
+
 @pytest.mark.parametrize("shared", [False, True])
 def test_true_numbers_are_within_their_intervals(shared: bool) -> None:
     """Linear fitness with noise, or with an error that all trials share as they share their controller's habits."""
-    rng, within = np.random.default_rng(5), []
-    for _ in range(300):
-        truth, at = rng.uniform(size=(2, 3))
-        slopes = rng.standard_normal() + 0.3 * rng.standard_normal((15, 3))
-        error = 0.05 * (np.full(15, rng.standard_normal()) if shared else rng.standard_normal(15))
-        at = truth + 0.02 * (at - 0.5)
-        found = Slopes(
-            slopes @ at,
-            np.stack([slopes] * len(SLOPE_STEPS)),
-            np.zeros((len(SLOPE_STEPS), 3)),
-            np.ones((len(SLOPE_STEPS), 3)),
-        )
-        told = told_by(found, slopes @ (at - truth) - error, at, 0.0 if shared else 0.05)
-        low, high = told.interval
+    rng, made, within = np.random.default_rng(5), problem(Parabola()), []
+    for _ in range(100):
+        truth = LOW + SPAN * rng.uniform(0.2, 0.8, 2)
+        at = truth + 0.01 * SPAN * rng.uniform(-1, 1, 2)
+        controllers = made.controller_box.sample(rng, 15)
+        controllers[:, :2] = rng.uniform(-1.2, 1.2, 2) + rng.uniform(-0.5, 0.5, (15, 2))
+        error = 0.02 * (np.full(15, rng.standard_normal()) if shared else rng.standard_normal(15))
+        measured = controllers[:, :2] @ truth + error
+        low, high = LOW + SPAN * told_by(made, at, controllers, measured, 0.0 if shared else 0.02).interval
         within.append((low <= truth) & (truth <= high))
     assert np.mean(within) > 0.87
 
 
+@dataclass(frozen=True)
+class Rough(Parabola):
+    """Fitness that depends on no number, but jumps with each."""
+
+    def __call__(self, robot: Robot, pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
+        qpos, qvel = super().__call__(robot, pairs)
+        return np.sin(1e6 * qpos), qvel
+
+
 def test_roughness_tells_nothing() -> None:
-    """Fitness that does not depend on a number, but jumps with it: its slopes are large, and not believed."""
-    rng, at = np.random.default_rng(2), np.array([0.4, 0.6])
-    offsets = np.array([0.0, -1.0, -0.5, 0.5, 1.0])
-    slopes, rough, gain = (
-        np.zeros((len(SLOPE_STEPS), 40, 2)),
-        np.zeros((len(SLOPE_STEPS), 2)),
-        np.zeros((len(SLOPE_STEPS), 2)),
-    )
-    for k, step in enumerate(SLOPE_STEPS):
-        fit = np.linalg.pinv(np.vander(step * offsets, 3, increasing=True))
-        slopes[k] = np.stack([rng.standard_normal((40, 5)) @ fit[1] for _ in range(2)], axis=1)
-        rough[k], gain[k] = 1.0, (fit[1] ** 2).sum()
-    residual = np.sqrt(2) * rng.standard_normal(40)  # of noise and of roughness
-    assert not told_by(Slopes(np.zeros(40), slopes, rough, gain), residual, at, 1.0).told.any()
-    assert told_by(Slopes(np.zeros(40), slopes, 0 * rough, gain), residual / 2, at, 1.0).told.any()
+    """Its slopes are large, and not believed: for that it tells nothing, even of measurements without noise."""
+    made, at = problem(Rough()), np.array([0.3, 0.5])
+    assert not told_by(made, at, trials_of(made, at, 20).controllers).told.any()
+    assert told_by(problem(Parabola()), at, trials_of(made, at, 20).controllers).told.all()
+
+
+def test_no_trials_tell_nothing() -> None:
+    """The prior: its mean, and the variance of a number that may be anywhere."""
+    made = problem(Parabola())
+    found = told_by(made, np.array([0.3, 0.5]), trials_of(made, LOW, 1).controllers[:0])
+    assert not found.told.any()
+    np.testing.assert_allclose(found.covariance, np.eye(2) / 12)
 
 
 def test_informative_trials_tell_what_the_best_do_not() -> None:
@@ -168,7 +185,8 @@ def test_informative_trials_tell_what_the_best_do_not() -> None:
     candidates[:, 0] = [0.5, 0.49, 0.48, 0.47, 0.0, 0.1]
     candidates[:, 1] = [0.0, 0.0, 0.0, 0.0, 0.2, 0.4]
     candidates = np.clip(candidates, made.controller_box.low, made.controller_box.high)
-    order = informative(made, at, candidates[:0], candidates)
+    order = informative(made, told_by(made, at, candidates[:0]), candidates)
     assert order[:3] == [0, 1, 5]
     tried = np.tile(candidates[5], (30, 1))  # known from other trials: now the first number is worth more
-    assert informative(made, at, tried, candidates)[2] == 2
+    told = told_by(made, at, tried, noise=0.005)
+    assert informative(made, told, candidates)[2] == 2
