@@ -172,7 +172,7 @@ def _count(number: int, word: str) -> str:
 
 
 TOLD_NOTE = (
-    "Interval: 90 %, from how the fitness of the fitted trials changes with each parameter and from how far it is from "
+    "90 % interval: from how the fitness of the fitted trials changes with each parameter and from how far it is from "
     "the measured one. Where it would be more than half of the range, the parameter is not told by these trials and "
     "its range is given: other motions, more trials or repeated measurements are needed."
 )
@@ -180,22 +180,25 @@ TOLD_NOTE = (
 
 
 def _parameters(run: RunData) -> Table:
-    columns = ["parameter", "start", "identified", "interval", "lowest", "highest", "unit", "note"]
+    columns = ["parameter", "start", "identified", "90 % interval", "range", "note"]
     told = run.result["told"]
     rows: list[list[Any]] = []
     for i, name in enumerate(run.box.names):
-        value, low, high = float(run.identified[i]), float(run.box.low[i]), float(run.box.high[i])
-        ends = (format_number(end, 4) for end in told["intervals"][name])
-        row = [name, float(run.start[i]), value, "\N{NO-BREAK SPACE}to\N{NO-BREAK SPACE}".join(ends)]
+        value, unit = float(run.identified[i]), run.box.units[i]
+        row = [f"{name} [{unit}]" if unit else name, float(run.start[i]), value, _ends(*told["intervals"][name])]
         if run.truth is not None:
             row += [float(run.truth[i]), float(value - run.truth[i])]
-        rows.append([*row, low, high, run.box.units[i], value_note(run.result, name)])
+        rows.append([*row, _ends(run.box.low[i], run.box.high[i]), value_note(run.result, name)])
     if run.truth is not None:
         columns[4:4] = ["truth", "error"]
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], [row[:-1] for row in rows]
     sentences = [f"{one[0].upper()}{one[1:]}." for one in told["combinations"]]
-    return Table(columns, rows, " ".join(["Lowest, highest: bounds of the search.", TOLD_NOTE, *sentences]))
+    return Table(columns, rows, " ".join(["Range: bounds of the search.", TOLD_NOTE, *sentences]))
+
+
+def _ends(low: float, high: float) -> str:
+    return "\N{NO-BREAK SPACE}to\N{NO-BREAK SPACE}".join(format_number(end, 4) for end in (low, high))
 
 
 def _iterations(run: RunData) -> Table:
