@@ -66,7 +66,7 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
             say_progress(bar, f"{text} (compiling)" if compiling else text, numbers=not compiling)
             with _journal_of(run.path / _JOURNAL, phase, stop, show) as (journal, say):
                 state = _advanced(problem, state, partial(report, say), stop, bar if wait else None, journal)
-            if phase == "simulations" != state.phase:  # the search may have converged early, or a target is met
+            if phase in ("simulations", "growth") and phase != state.phase:  # more or less may be left than was thought
                 bar.total = bar.n + int(_pairs_left(problem, state))
             run.save_checkpoint(step, *state_to_arrays(state))
             if journal is not None:
