@@ -30,8 +30,8 @@ TOLD = 0.5
 """Part of its range that the interval of a number that is told does not exceed."""
 
 _ROUNDS = 4
-"""Regressions, each over what the one before leaves possible: on the arm of `benchmarks/told_numbers.py` intervals are 7,
-1.9 and 1.1 times as wide after one, two and three, and no narrower after six."""
+"""Regressions, each over what the one before leaves possible: on the arm of `benchmarks/told_numbers.py` intervals are
+7, 1.9 and 1.1 times as wide after one, two and three, and no narrower after six."""
 
 _PER_SLOPE = 4
 """Simulations of a regression, for each of its coefficients."""
