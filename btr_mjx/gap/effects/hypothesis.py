@@ -45,8 +45,10 @@ class Hypothesis:
 
     def _begun(self, model: mujoco.MjModel) -> tuple[World, Sequence[tuple[Candidate, tuple[float, ...]]]]:
         """A world to be edited, and the effects that it lacks: the last one, where what is shorter has a world."""
-        if self._shorter is not None and id(model) in self._shorter._worlds:
-            return self._shorter(model).copy(), self.effects[-1:]
+        own = self.parameters, self.believed, self.effects[:-1]
+        match self._shorter:
+            case Hypothesis() as it if (it.parameters, it.believed, it.effects) == own and id(model) in it._worlds:
+                return it(model).copy(), self.effects[-1:]
         world = World.of(model)
         for parameter, value in zip(self.parameters, self.believed, strict=True):
             parameter.write(world.model, value)

@@ -26,6 +26,7 @@ from btr_mjx.gap.effects.joints import ARMATURE
 from btr_mjx.gap.results.mended_model import FoundEffect, resolve_effect
 from btr_mjx.gap.results.transcribe import normalised, write_changes
 from btr_mjx.gap.simulate import Rows, World, differing_fields, simulate
+from btr_mjx.models import PathParameter
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -175,6 +176,22 @@ def test_a_world_that_goes_on_from_another_is_that_of_all_effects(name: str) -> 
         after = simulate([(longer(model), segments), (anew(model), segments), (shorter(model), segments)])
         np.testing.assert_array_equal(after[0], after[1], candidate.name)
         np.testing.assert_array_equal(after[2], before, candidate.name)
+
+
+def test_a_changed_hypothesis_does_not_go_on_from_the_world_of_other_numbers() -> None:
+    model = load("pendulum")
+    believed = PathParameter("damping", (f"joint:{model.joint(0).name}/damping",), 0.0, 1.0)
+    first, second, *_ = candidates(model, Scales.of(model), KNOWN_EFFECTS)
+    shorter = Hypothesis((believed,), (0.1,)).with_effect(first, moderate(first))
+    shorter(model)
+    longer = shorter.with_effect(second, moderate(second))
+    for changed in (
+        replace(longer, believed=(0.2,)),
+        replace(longer, effects=((second, tuple(second.null)), *longer.effects[1:])),
+        longer.replaced(longer.values(True) / 2, True),
+    ):
+        anew = Hypothesis(changed.parameters, changed.believed, changed.effects)
+        assert differing_fields(changed(model), anew(model).update_constants()) == {}
 
 
 def test_scales_of_measured_states() -> None:
