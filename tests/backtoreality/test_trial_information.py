@@ -82,7 +82,7 @@ def test_slopes_of_a_parabola() -> None:
     expected = (controllers[:, :2] + [4.0 * at[0], 0.0]) * SPAN * weight[:, None]
     np.testing.assert_allclose(found.slopes, expected, rtol=1e-8)
     assert found.rough > 0
-    np.testing.assert_allclose(found.gain, np.linalg.inv(12 * covariance), rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(found.gain, np.linalg.inv(6 * covariance), rtol=1e-8, atol=1e-9)
 
 
 def test_intervals_of_linear_fitness_are_the_closed_form() -> None:
