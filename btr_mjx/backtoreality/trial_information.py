@@ -132,8 +132,9 @@ def fitness_slopes(
     """
     p = len(at)
     draws = np.random.default_rng([problem.seed, seed]).standard_normal((p + 1, p))
+    variances, axes = np.linalg.eigh(covariance)
     # In pairs, so that bends leave slopes alone, and of exactly this covariance.
-    steps = np.sqrt(len(draws)) * np.linalg.qr(draws)[0] @ np.linalg.cholesky(covariance).T
+    steps = np.sqrt(len(draws)) * np.linalg.qr(draws)[0] @ (axes * np.sqrt(np.maximum(variances, 0.0))).T
     places = 1 - np.abs(np.mod(at + np.concatenate([steps, -steps]), 2) - 1)  # mirrored at the ends of the ranges
     values = _compared(problem, places, controllers) * weight
     columns = np.column_stack([np.ones(len(places)), places - at])
