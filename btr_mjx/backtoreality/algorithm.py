@@ -162,6 +162,8 @@ def _finish_iteration(problem: Problem, state: State, report: Report) -> State:
     if after >= state.delta_before:
         simulation, after = state.simulation, state.delta_before
     told = told_by_trials(problem, simulation, state.trials, state.iteration)
+    tried = (box.decode(state.genomes).reshape(-1, box.n) - box.low) / box.span
+    told = told.beside(tried, state.scores.reshape(-1), after)
     record = told_record(told, box)
     others = told.possible(problem.rng(state.iteration, 4), settings.ensemble - 1)
     latest = state.trials.iteration == state.iteration

@@ -14,7 +14,7 @@ The regression is over the simulations that C leaves possible, so that it is fou
 is no straight line over the whole range, and motion with contacts is so rough that a slope at a point says nothing.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 
 import numpy as np
@@ -75,11 +75,15 @@ class Told:
       at: (p,) the simulation's numbers.
       estimate: (p,) those that the linear picture prefers, within the ranges.
       covariance: (p, p) of their errors.
+      scatter: variance of a value, over the sum of the squares of the residuals; 0 where these vanish.
+      others: (K, p) other simulations that fit as well as the intervals' ends do.
     """
 
     at: np.ndarray
     estimate: np.ndarray
     covariance: np.ndarray
+    scatter: float
+    others: np.ndarray
 
     @property
     def reach(self) -> np.ndarray:
@@ -99,8 +103,19 @@ class Told:
 
     @property
     def _ends(self) -> np.ndarray:
-        low, high = self.estimate - self.reach, self.estimate + self.reach
-        return np.array([np.minimum(low, self.at), np.maximum(high, self.at)])
+        ends = np.vstack([self.estimate - self.reach, self.estimate + self.reach, self.at, self.others])
+        return np.array([ends.min(axis=0), ends.max(axis=0)])
+
+    def beside(self, shares: np.ndarray, distances: np.ndarray, least: float) -> "Told":
+        """The same with those of other simulations (K, p) that are possible: the linear picture knows one valley.
+
+        Args:
+          shares: their numbers.
+          distances: (K,) from reality, as step 3 minimises them; NaN for one that diverged.
+          least: distance of the simulation.
+        """
+        possible = distances <= least * np.sqrt(1 + _QUANTILE**2 * self.scatter)
+        return replace(self, others=np.concatenate([self.others, shares[possible]]))
 
     def possible(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """(count, p) random numbers that trials leave possible, within the ranges."""
@@ -169,7 +184,7 @@ def told_by(
       weight: (N,) by which values are multiplied before they are compared; None for 1.
     """
     at = shares_of(problem, simulation)
-    told = Told(at, np.full(len(at), 0.5), np.eye(len(at)) / _PRIOR)
+    told = Told(at, np.full(len(at), 0.5), np.eye(len(at)) / _PRIOR, 0.0, np.zeros((0, len(at))))
     if not len(controllers):
         return told
     values = _compared(problem, at[None], controllers)[0]
@@ -195,7 +210,8 @@ def _posterior(
     squares, axes = np.linalg.eigh(jacobian.T @ jacobian - count * slopes.rough * slopes.gain)
     covariance = (axes / (np.maximum(squares, 0.0) / variance + _PRIOR)) @ axes.T
     estimate = at - covariance @ (jacobian.T @ residual / variance + _PRIOR * (at - 0.5))
-    return Told(at, np.clip(estimate, 0.0, 1.0), covariance)
+    scatter = variance / square if square else 0.0
+    return Told(at, np.clip(estimate, 0.0, 1.0), covariance, scatter, np.zeros((0, len(at))))
 
 
 def told_by_trials(problem: Problem, simulation: np.ndarray, trials: Trials, iteration: int) -> Told:

@@ -138,6 +138,19 @@ def test_bent_fitness_is_told_as_its_slope_at_the_truth_tells_it() -> None:
     np.testing.assert_allclose(found.estimate, (truth - LOW) / SPAN, atol=0.05 * reach.min())
 
 
+def test_another_valley_is_possible() -> None:
+    """A simulation far away that fits as well is within the interval, one that fits four times worse is not."""
+    made, at = problem(Parabola()), np.array([0.3, 0.5])
+    trials = trials_of(made, at, 12)
+    measured = trials.f_r + 0.01 * np.random.default_rng(0).standard_normal(12)
+    found = told_by(made, at, trials.controllers, measured)
+    assert found.told.all()
+    others = found.at + np.array([[0.3, 0.2], [-0.3, -0.2], [0.0, 0.45]])
+    beside = found.beside(others, np.array([0.011, 0.04, np.nan]), 0.01)
+    np.testing.assert_allclose(beside.interval[0], found.interval[0])
+    np.testing.assert_allclose(beside.interval[1], others[0])
+
+
 @pytest.mark.parametrize("shared", [False, True])
 def test_true_numbers_are_within_their_intervals(shared: bool) -> None:
     """Linear fitness with noise, or with an error that all trials share as they share their controller's habits."""
