@@ -125,9 +125,11 @@ class Told:
         """Numbers that are not told each by itself -> their shares in directions that are told."""
         variance, directions = np.linalg.eigh(self.covariance)
         found: dict[tuple[int, ...], list[np.ndarray]] = {}
-        for size, direction in zip(variance, directions.T, strict=True):
+        apart = np.ptp(np.vstack([self.at, self.others]) @ directions, axis=0)
+        width = np.maximum(2 * _QUANTILE * np.sqrt(np.maximum(variance, 0.0)), apart)
+        for size, direction in zip(width, directions.T, strict=True):
             own = np.flatnonzero((direction**2 >= _INVOLVED) & ~self.told)
-            if 2 * _QUANTILE * np.sqrt(size) <= TOLD and len(own) > 1:
+            if size <= TOLD and len(own) > 1:
                 found.setdefault(tuple(own.tolist()), []).append(direction[own])
         return found
 

@@ -151,6 +151,17 @@ def test_another_valley_is_possible() -> None:
     np.testing.assert_allclose(beside.interval[1], others[0])
 
 
+def test_a_combination_that_another_valley_changes_is_not_told() -> None:
+    """Only the sum is told; of a simulation that fits as well, it is the same, of another one it is not."""
+    made, at = problem(Parabola(same=True)), np.array([0.3, 0.5])
+    found = replace(told_by_trials(made, at, trials_of(made, at, 8), 1), scatter=1.0)
+    along = np.array([0.5, -SPAN[0]]) / np.hypot(0.5, SPAN[0])
+    for step, count in ((along, 1), (along[::-1] * [-1, 1], 0)):
+        other = found.beside(found.at + 0.45 * np.array([step, -step]), np.array([0.1, 0.1]), 0.1)
+        assert not other.told.all()
+        assert len(other.combinations()) == count
+
+
 @pytest.mark.parametrize("shared", [False, True])
 def test_true_numbers_are_within_their_intervals(shared: bool) -> None:
     """Linear fitness with noise, or with an error that all trials share as they share their controller's habits."""
