@@ -6,13 +6,7 @@ from typing import Any
 import numpy as np
 
 from btr_mjx.backtoreality.run_state import Problem
-from btr_mjx.backtoreality.simulation_search import compared_fitness
-from btr_mjx.backtoreality.trial_information import (
-    LEVEL,
-    PLANNED_SCATTER,
-    Told,
-    told_by,
-)
+from btr_mjx.backtoreality.trial_information import LEVEL, PLANNED_SCATTER, Told, told_by
 from btr_mjx.gap.results import format_number
 from btr_mjx.robots import Box
 
@@ -36,8 +30,7 @@ def told_record(told: Told, box: Box) -> dict[str, Any]:
 def told_by_plan(problem: Problem, simulation: np.ndarray, controllers: np.ndarray) -> str:
     """Which unknown numbers trials of controllers (M, n_c) will tell, by a simulation (n_s,), as a sentence."""
     box = problem.simulation_box
-    scatter = PLANNED_SCATTER * np.sqrt(np.nanmean(compared_fitness(problem, simulation[None], controllers) ** 2))
-    told = told_by(problem, simulation, controllers, noise=float(scatter))
+    told = told_by(problem, simulation, controllers)
     known, rest = _names(box, told.told), _names(box, ~told.told)
     text = f"the {len(controllers)} planned trials, if they scatter by {100 * PLANNED_SCATTER:g} % of the fitness, "
     text += f"can tell {_listed(known)}" if known else "can tell no unknown number"

@@ -181,7 +181,8 @@ def told_by(
       problem: the problem.
       simulation: (n_s,) that fits the trials best.
       controllers: (M, n_c) of the trials.
-      measured: (N,) values, N being M times the marks; None for those of the simulation itself.
+      measured: (N,) values, N being M times the marks; None before any: those of the simulation itself, with the
+        noise that is assumed (`PLANNED_SCATTER`).
       noise: known standard deviation of a measured value.
       weight: (N,) by which values are multiplied before they are compared; None for 1.
     """
@@ -191,7 +192,9 @@ def told_by(
         return told
     values = _compared(problem, at[None], controllers)[0]
     weight = np.ones(len(values)) if weight is None else weight
-    residual = np.zeros(len(values)) if measured is None else (values - measured) * weight
+    if measured is None:
+        measured, noise = values, float(PLANNED_SCATTER * np.sqrt(np.nanmean((values * weight) ** 2)))
+    residual = (values - measured) * weight
     for seed in range(_ROUNDS):
         slopes = fitness_slopes(problem, at, told.covariance, controllers, weight, seed)
         good = np.isfinite(residual) & np.isfinite(slopes.slopes).all(axis=1)
