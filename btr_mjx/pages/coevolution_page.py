@@ -173,8 +173,9 @@ def _count(number: int, word: str) -> str:
 
 TOLD_NOTE = (
     "90 % interval: from how the fitness of the fitted trials changes with each parameter and from how far it is from "
-    "the measured one. Where it would be more than half of the range, the parameter is not told by these trials and "
-    "its range is given: other motions, more trials or repeated measurements are needed."
+    "the measured one; it holds every simulation of the search that fits as well. Where it would be more than half of "
+    "the range, the parameter is not told by these trials and its range is given: other motions, more trials or "
+    "repeated measurements are needed."
 )
 """What the column of intervals is."""
 
