@@ -67,7 +67,9 @@ def held_out(side: ForceSide, point: Point, variances: Variances, sensor: np.nda
 
 
 def is_better(before: HeldOut, after: HeldOut) -> bool:
-    """Whether a hypothesis predicts held-out stretches better by more than two standard errors."""
+    """Whether a hypothesis predicts held-out stretches better by more than two standard errors.
+
+    A single stretch has no standard error and decides nothing.
+    """
     fall = before.loss - after.loss
-    error = fall.std(ddof=1) / np.sqrt(len(fall)) if len(fall) > 1 else 0.0
-    return bool(fall.mean() > 2 * error)
+    return len(fall) > 1 and bool(fall.mean() > 2 * fall.std(ddof=1) / np.sqrt(len(fall)))

@@ -35,7 +35,7 @@ from btr_mjx.gap.forces.law_scan import scan_laws
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point
-from btr_mjx.gap.forces.predictions import horizon_errors, predicts_well
+from btr_mjx.gap.forces.predictions import horizon_errors, predicts_well, predicts_worse
 from btr_mjx.gap.forces.residual import fit_residual
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
 from btr_mjx.gap.forces.sets.carried import Carried, carried_library, with_room
@@ -201,15 +201,49 @@ def search_forces(
         side, first, max_effects, progress, confirm, laws, drives=known is None
     )
     progress("numbers")
-    seen = without_invisible(side, confirmed[-1])
-    last, point = last_numbers(side, seen if seen.point.named else confirmed[0], known is None)
-    final = [*confirmed[:-1], last] if seen.point.named else [last]
+    final, point, worse = _settled_names(side, test, confirmed, known is None)
+    contradicted, last = contradicted or worse, final[-1]
     after = held_out(test, final[-1].point, final[-1].variances)
     before = held_out(test, final[0].point, final[0].variances, after.sensor)
     final[-1] = replace(last, point=point)
     dictionary_of = candidates(model, scales, LAW_EFFECTS)
     found = _found(side, test, rounds, final, (before, after), contradicted, known, last, dictionary_of)
     return diagnosis_of(dataset, prepared.sigma, found, time.monotonic() - begun + counter.earlier), found
+
+
+def _settled_names(
+    side: ForceSide, test: ForceSide, chain: Sequence[Fitted], follow: bool
+) -> tuple[list[Fitted], Point, bool]:
+    """The chain with its last numbers, the point of the mended model, and whether predictions cost it an effect.
+
+    With its last numbers, a model that predicts recordings of either side worse than the believed one loses the effect
+    that was found last, and is tried again.
+
+    Args:
+      side: the recordings to fit.
+      test: the recordings held out.
+      chain: the believed model, and one more confirmed effect each.
+      follow: see `last_numbers`.
+    """
+    base, worse = _believed(side, chain[0]), False
+    for count in range(len(chain), 1, -1):
+        seen = without_invisible(side, chain[count - 1])
+        if not seen.point.named:
+            continue
+        last, point = last_numbers(side, seen, follow)
+        mended = point.hypothesis(side.library)
+        if not any(predicts_worse(own.stretches.data, base, mended, own.counter) for own in (side, test)):
+            return [*chain[: count - 1], last], point, worse
+        worse = True
+    last, point = last_numbers(side, chain[0], follow)
+    return [last], point, worse
+
+
+def _believed(side: ForceSide, fit: Fitted) -> Hypothesis:
+    """The believed model with numbers of the dataset as a fit has them, without calibration."""
+    base = fit.point.base
+    values = believed_values(side.library, base.parameters, fit.point.calibration, base.believed)
+    return replace(base, believed=tuple(values))
 
 
 def _of_calibration(stretches: Stretches, library: Library, base: Hypothesis, counter: Counter) -> np.ndarray:
@@ -233,12 +267,7 @@ def _found(
 ) -> SearchOutcome:
     """What was found, with the models as they will be used: calibrated, and with named effects."""
     first, last = chain[0], chain[-1]
-    of = first.point.base
-    values = [
-        tuple(believed_values(side.library, of.parameters, fit.point.calibration, of.believed)) for fit in (first, last)
-    ]
-    base = replace(of, believed=values[0])
-    mended = replace(last.point.base, believed=values[1])
+    base, mended = (_believed(side, fit) for fit in (first, last))
     calibration = _calibration(side.library, last.point)
     for candidate, own in (*calibration, *last.point.named):
         mended = mended.with_effect(candidate, own)

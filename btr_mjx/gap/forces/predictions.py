@@ -67,6 +67,32 @@ def compared_predictions(data: PreparedData, makes: Sequence[Hypothesis], counte
     return out
 
 
+def predicts_worse(data: PreparedData, before: Hypothesis, after: Hypothesis, counter: Counter | None = None) -> bool:
+    """Whether a hypothesis predicts recordings worse than the one before, over a short horizon or as a whole.
+
+    Over a short horizon as `compared_predictions` has it. Whole recordings are too few for a standard error: there it
+    is the error of all together, of those that the hypothesis before follows. Those that it does not follow, since
+    motion diverges or much is missing, say nothing.
+
+    Args:
+      data: recordings.
+      before: a hypothesis.
+      after: the other one.
+      counter: adds up the simulated steps.
+    """
+    if compared_predictions(data, [before, after], counter)[0, 1] < 0:
+        return True
+    trial = cut_horizons(data, np.inf)
+    # (recordings, nv) mean square errors
+    first, last = (
+        np.concatenate([(e**2).mean(1) for e in row]) for row in position_errors(trial, [before, after], counter)
+    )
+    moving = np.maximum(motion_size(data) ** 2, 1e-300)
+    followed = np.all(first < FOLLOWS**2 * moving, axis=1)
+    was, now = (np.minimum(own[followed] / moving, 1.0).sum() for own in (first, last))
+    return bool(now > (1 + RELATIVE_ERROR) ** 2 * was)
+
+
 def horizon_errors(
     data: PreparedData, makes: Sequence[Hypothesis], counter: Counter | None = None, horizon: float = HORIZON
 ) -> tuple[list[np.ndarray], np.ndarray]:

@@ -17,7 +17,7 @@ from btr_mjx.gap.forces.horizons import cut_horizons
 from btr_mjx.gap.forces.kalman_filter import filtered, smoothed
 from btr_mjx.gap.forces.motion import FreeNumber, responses
 from btr_mjx.gap.forces.points import ForceSide, Point, again, covariance, evaluate_point, newton_step, settled
-from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_better
+from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_better, predicts_worse
 from btr_mjx.gap.forces.scan import price
 from btr_mjx.gap.forces.search import _unbeaten, first_variances, one_more, pruned, shortlist, start
 from btr_mjx.gap.forces.unknowns import library_of
@@ -292,3 +292,22 @@ def test_hypotheses_are_compared_by_what_they_predict(sides) -> None:
     np.testing.assert_array_equal(better, -better.T)
     assert better[0].tolist()[:2] == [0, 1]
     assert better[0, 2] == 1
+
+
+def test_a_model_that_predicts_worse_is_told_from_a_better_one(sides) -> None:
+    """Over short horizons and over whole recordings, of either side; in doubt a model is not worse."""
+    elbow = one(arm(), "viscous_damping@joint:elbow", LIBRARY)
+    truth, wrong = (believed().with_effect(elbow, [value]) for value in (0.1, 0.6))
+    for side in sides:
+        data = side.stretches.data
+        assert not predicts_worse(data, believed(), truth)
+        assert not predicts_worse(data, truth, truth)
+        assert predicts_worse(data, truth, wrong)
+        assert predicts_worse(data, truth, believed())
+
+
+def test_a_single_stretch_confirms_nothing(sides, named, null) -> None:
+    before, after = (held_out(sides[1], fit.point, fit.variances) for fit in (null, named))
+    alone = [replace(own, loss=own.loss[:1], chi2=own.chi2[:1]) for own in (before, after)]
+    assert alone[1].loss < alone[0].loss
+    assert not is_better(*alone)

@@ -26,7 +26,7 @@ from btr_mjx.gap.results import (
     without_late_log,
 )
 
-_NOT_BORNE_OUT = "One more effect explained the recordings that were fitted, but not those held out."
+_NOT_BORNE_OUT = "One more effect explained the recordings that were fitted, but predictions do not bear it out."
 
 _NO_RESIDUAL = "No table of what is left was made: held-out recordings are predicted no better with one."
 

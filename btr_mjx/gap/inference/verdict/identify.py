@@ -17,7 +17,14 @@ from threadpoolctl import threadpool_limits
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, base_unmeasured
 from btr_mjx.gap.effects import EFFECTS, Effect
-from btr_mjx.gap.forces import horizon_errors, identify_forces, joint_errors, predictions, prepare_forces
+from btr_mjx.gap.forces import (
+    horizon_errors,
+    identify_forces,
+    joint_errors,
+    predictions,
+    predicts_worse,
+    prepare_forces,
+)
 from btr_mjx.gap.inference.search.naming import CONTACT_THRESHOLD, THRESHOLD, within_calibration
 from btr_mjx.gap.inference.search.rounds import search
 from btr_mjx.gap.inference.search.search import Bench
@@ -116,6 +123,8 @@ def name_missing(
     note = progress or (lambda _: None)
     rounds, named = search(bench, max_effects, note)
     base = bench.base
+    while named and _predicts_worse(bench, named[-1]):
+        named = named[:-1]
     note("lack of fit")
     rng = np.random.default_rng([seed, 1])
     check = Check(bench, rng)
@@ -154,6 +163,12 @@ def name_missing(
         joint_errors=joint_errors(bench.dataset.model, errors, bench.sigma),
         notes=time_step_notes(bench.fit.windows),
     )
+
+
+def _predicts_worse(bench: Bench, judged: Judged) -> bool:
+    """Whether the model with what was named predicts recordings of either side worse than the believed one."""
+    sides = (side.windows.data for side in (bench.fit, bench.test))
+    return any(predicts_worse(data, bench.base, judged.hypothesis, bench.counter) for data in sides)
 
 
 def undecided(bench: Bench, first: Sequence[Judged], verdict: str) -> tuple[str, ...]:
