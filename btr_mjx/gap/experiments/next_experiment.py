@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from btr_mjx.gap.data import Dataset, Recording
+from btr_mjx.gap.experiments.safe_motion import stays_near_recordings
 from btr_mjx.gap.experiments.trial_commands import random_commands
 from btr_mjx.gap.inference import Hypothesis
 from btr_mjx.gap.results import Diagnosis, NextExperiment, hypothesis_in_words
@@ -24,6 +25,9 @@ _RANDOM_COMMANDS = 10
 
 _MAX_WINDOWS = 5
 """Largest number of windows along a command."""
+
+_STARTS = 3
+"""States in which a command begins where it is asked whether the robot survives it."""
 
 DECISIVE_MARGIN = 25.0
 """Difference of scores from which on two hypotheses count as separated, in units of twice the log-likelihood."""
@@ -48,13 +52,19 @@ def propose(
 
     Returns:
       The proposal; None where fewer than two hypotheses survived, where nothing takes a command, or where no command
-      is expected to separate them by `LEAST_MARGIN`.
+      that the robot survives is expected to separate them by `LEAST_MARGIN`.
     """
     survivors = diagnosis.survivors[:3]
     if len(survivors) < 2 or not dataset.model.nu:
         return None
     rng = np.random.default_rng(seed)
-    commands = random_commands(dataset, rng, _RANDOM_COMMANDS)
+    commands = [
+        command
+        for command in random_commands(dataset, rng, _RANDOM_COMMANDS)
+        if is_survived(command, survivors, dataset, counter)
+    ]
+    if not commands:
+        return None
     span = diagnosis.windows[3]
     found = [expected_margins(survivors, dataset, command, diagnosis.sigma, span, counter) for command in commands]
     # A command is rated by the pair that it separates least.
@@ -76,19 +86,44 @@ def propose(
     )
 
 
+def is_survived(
+    command: Command, survivors: Sequence[Hypothesis], dataset: Dataset, counter: Counter | None = None
+) -> bool:
+    """Whether the robot stays near where it has been under a command, whichever hypothesis is true.
+
+    The command begins in states from all over a recording: what holds itself forgets them, what needs feedback does
+    not.
+
+    Args:
+      command: the command.
+      survivors: hypotheses.
+      dataset: source of the initial state, of the sampling rate, and of where the robot has been.
+      counter: counts the simulated steps.
+    """
+    starts = np.linspace(0, len(dataset.recordings[0].time) - 1, _STARTS).astype(int)
+    motions = (simulate_recording(own, dataset, command, counter, start) for own in survivors for start in starts)
+    return all(
+        motion.time[-1] >= command.times[-1] - 2 * float(np.diff(motion.time).max())
+        and stays_near_recordings(motion, dataset)
+        for motion in motions
+    )
+
+
 def simulate_recording(
     reality: Hypothesis,
     dataset: Dataset,
     command: Command,
     counter: Counter | None = None,
+    start: int = 0,
 ) -> Recording:
-    """A command in a simulated reality, recorded without noise, with the initial state and sampling rate of a dataset.
+    """A command in a simulated reality, recorded without noise, with a state and the sampling rate of a dataset.
 
     Args:
       reality: hypothesis that is simulated as reality, at half the model's time step.
       dataset: source of the initial state and of the sampling rate.
       command: the command.
       counter: counts the simulated steps.
+      start: sample of the first recording at whose state the motion begins.
 
     Returns:
       The recording, cut where the simulation diverges.
@@ -97,7 +132,8 @@ def simulate_recording(
     model = first.model
     interval = float(np.median(np.diff(first.time)))
     time = np.arange(0.0, float(command.times[-1]) + 1e-9, interval)
-    segments = Segments(np.zeros(1), first.qpos[:1], np.nan_to_num(first.qvel[:1]), time, (command,), np.zeros(1, int))
+    qpos, qvel = first.qpos[start : start + 1], np.nan_to_num(first.qvel[start : start + 1])
+    segments = Segments(np.zeros(1), qpos, qvel, time, (command,), np.zeros(1, int))
     step = float(model.opt.timestep) / 2
     states = simulate([(reality(model), segments)], timestep=step, counter=counter)[0][0]
     good = np.isfinite(states).all(1)

@@ -1,4 +1,4 @@
-"""Field cases with a fault each: `uv run python benchmarks/faults.py --cases FOLDER --json OUT.json`.
+"""Field cases with a fault each: `uv run python benchmarks/field_faults.py --cases FOLDER --json OUT.json`.
 
 FOLDER has a subfolder for each of `CASES`: a believed model and logs with a fault of data, of the model or of physics.
 Each runs through the command as a user gives it, the check first. The table says what was wanted, what was got, and the
@@ -212,7 +212,7 @@ class Config:
     """Only check the data, which takes seconds; verdicts are missing then."""
     limit: float = 900.0
     """Seconds after which a diagnosis is stopped."""
-    out: Path = Path("runs/faults")
+    out: Path = Path("runs/field_faults")
     """Folder of the answers of all versions."""
     json: Path | None = None
     """Write all rows here."""
