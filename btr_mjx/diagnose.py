@@ -136,6 +136,14 @@ def diagnose(config: DiagnoseConfig | None = None, **changes: Any) -> dict[str, 
 def _diagnose(config: DiagnoseConfig, tell: Callable[[dict[str, Any], Path], None]) -> dict[str, Any]:
     """As `diagnose`; the result and its folder are told once all of it is saved, before anything is drawn."""
     check_diagnosis(config)
+    # What a resumed run needs is in complete files: a signal may stop it anywhere.
+    with graceful_interrupt() as stop, stop.anywhere():
+        return _run(config, tell, stop.checkpoint)
+
+
+def _run(
+    config: DiagnoseConfig, tell: Callable[[dict[str, Any], Path], None], checkpoint: Callable[[], None]
+) -> dict[str, Any]:
     # Loading what a search needs takes seconds: arguments, and then the data, are checked before.
     from btr_mjx.gap import examine, examine_earlier, search_missing
     from btr_mjx.gap.effects import custom_effect_code, selected_effects
@@ -164,11 +172,10 @@ def _diagnose(config: DiagnoseConfig, tell: Callable[[dict[str, Any], Path], Non
     with _claimed(config) as config:
         assert config.out is not None
         folder = RunFolder.create(config.out, config, config.resume, ignore=ignore, inputs=inputs)
-        with folder as run, graceful_interrupt() as stop:
+        with folder as run:
             if dataset is None:
                 _make_demo(run.path, config)
                 dataset, findings = examine(run.path / "demo", library, config.signal, config.progress)
-                stop.checkpoint()
             print_findings(findings)
             save_findings(findings, run.path / "preflight.csv")
             if inferred := getattr(dataset, "inferred", ""):
@@ -184,10 +191,9 @@ def _diagnose(config: DiagnoseConfig, tell: Callable[[dict[str, Any], Path], Non
                     residual=config.residual,
                     code=custom_effect_code(config.effects),
                     show=config.progress,
-                    checkpoint=stop.checkpoint,
+                    checkpoint=checkpoint,
                 )
                 run.seal()
-                stop.checkpoint()
             result = read_json(run.path / RESULT)
             tell(result, run.path)
             if config.figures:

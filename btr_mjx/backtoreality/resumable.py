@@ -1,8 +1,8 @@
 """Co-evolution in a run folder: saved after every piece of work, resumable from the last checkpoint."""
 
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -76,11 +76,16 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
     return state
 
 
+@contextmanager
 def _journal_of(
     folder: Path, phase: Phase, stop: StopRequest, show: bool
-) -> AbstractContextManager[tuple[Journal | None, Callable[[str], None] | None]]:
+) -> Iterator[tuple[Journal | None, Callable[[str], None] | None]]:
     """The journal of a search for a missing effect, which stops anywhere, and its progress; nothing in other phases."""
-    return followed_search(folder, stop.checkpoint, show=show) if phase == "growth" else nullcontext((None, None))
+    if phase != "growth":
+        yield None, None
+        return
+    with stop.anywhere(), followed_search(folder, stop.checkpoint, show=show) as found:
+        yield found
 
 
 def _advanced(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from btr_mjx.errors import InputError, is_bad_input, one_line
-from btr_mjx.runs import progress
+from btr_mjx.runs import progress, say_progress
 
 if TYPE_CHECKING:
     from btr_mjx.gap.data import Dataset
@@ -55,8 +55,9 @@ def examine(
                 bar.update(done - bar.n)
 
         dataset = open_dataset(folder, report, logs)
-        if bar is not None:
-            bar.set_description("checks")
+        checks = stack.enter_context(progress(description="checks", show=None if show else False))
+        say_progress(checks, "checks", numbers=False)
+        checks.leave = False
         from btr_mjx.gap.preflight import preflight
 
         return dataset, preflight(dataset, [effect.name for effect in library])

@@ -113,6 +113,7 @@ class StopRequest:
 
     def __init__(self) -> None:
         self.signum: int | None = None
+        self._anywhere = False
 
     @property
     def requested(self) -> bool:
@@ -128,10 +129,26 @@ class StopRequest:
         if self.signum is not None:
             raise Interrupted(f"stopped at a safe point ({signal.Signals(self.signum).name})", self.signum)
 
+    @contextmanager
+    def anywhere(self) -> Iterator[None]:
+        """A block in which every point is safe, as all that counts is in complete files: one signal stops it at once.
+
+        Threads of the block stop at their next `checkpoint()`.
+
+        Raises:
+          Interrupted: a signal arrives in the block, or has arrived before.
+        """
+        self.checkpoint()
+        before, self._anywhere = self._anywhere, True
+        try:
+            yield
+        finally:
+            self._anywhere = before
+
     def _handle(self, signum: int, frame: Any) -> None:
-        if self.signum is not None:
+        first, self.signum = self.signum is None, signum
+        if not first or self._anywhere:
             raise Interrupted(f"stopped at once ({signal.Signals(signum).name})", signum)
-        self.signum = signum
         # Not print: the signal may have interrupted a buffered write to the same stream.
         with suppress(OSError, ValueError):
             os.write(2, b"\nstopping at the next safe point; once more to stop at once\n")

@@ -69,6 +69,10 @@ _AGAIN = 2.0
 _BEYOND = 1.5
 """Square of what held-out recordings leave, in units of the noise, where something is left."""
 
+_START_STEPS = 2
+"""Steps of a derivative over an interval, for an estimate of the work: a derivative for each number, and ten for those
+of calibration, which are fitted (`python -m btr_mjx.diagnose --demo --robot arm`)."""
+
 
 @dataclass(frozen=True, eq=False)
 class PreparedForces:
@@ -192,6 +196,7 @@ def search_forces(
         library = library_of(possible, model, dataset.parameters, dataset.tolerances, interval, of_log)
         library = carried_library(library, known)
     test = ForceSide(other, library, np.zeros((0,)), counter)
+    counter.expect(_START_STEPS * (len(library.numbers) + 10 * len(library.calibrated)) * stretches.time.size)
     side, first = start(
         ForceSide(stretches, library, _of_calibration(stretches, library, base, counter), counter), base
     )

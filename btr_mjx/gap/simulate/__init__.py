@@ -8,7 +8,8 @@ runs `Job`s (a world over `Segments` of recordings) in batches on threads. `Coun
 from btr_mjx.gap.simulate.actuator_forces import actuator_forces
 from btr_mjx.gap.simulate.batch import Counter, simulate
 from btr_mjx.gap.simulate.commands import Command, command_phase
-from btr_mjx.gap.simulate.journal import Journal, followed_search
+from btr_mjx.gap.simulate.following import followed_search
+from btr_mjx.gap.simulate.journal import Journal
 from btr_mjx.gap.simulate.laws import Rows, StateLaw
 from btr_mjx.gap.simulate.segments import Job, Segments
 from btr_mjx.gap.simulate.threads import run_in_threads

@@ -61,6 +61,9 @@ class Counter:
         with self.lock:
             self.steps += steps
 
+    def expect(self, steps: float) -> None:
+        """Tell how many steps the phase of a search that has begun takes, about; for those who follow it."""
+
     def store(self, path: Path | None, states: Sequence[np.ndarray], steps: int) -> None:
         """Store the states (W, K, nq + nv) of jobs, which took these steps, in their file."""
 

@@ -11,8 +11,7 @@ import hashlib
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ import numpy as np
 from btr_mjx.errors import DamagedFile
 from btr_mjx.gap.simulate.batch import Counter
 from btr_mjx.gap.simulate.segments import Job
-from btr_mjx.runs import content_digest, progress, read_arrays, write_arrays
+from btr_mjx.runs import content_digest, read_arrays, write_arrays
 
 
 class Journal(Counter):
@@ -33,16 +32,23 @@ class Journal(Counter):
       steps: simulated steps so far, including those of results read from the folder.
     """
 
-    def __init__(self, folder: Path, report: Callable[[int], None] | None = None, code: bytes = b"") -> None:
+    def __init__(
+        self,
+        folder: Path,
+        report: Callable[[int], None] | None = None,
+        code: bytes = b"",
+        expect: Callable[[float], None] | None = None,
+    ) -> None:
         """Open a journal.
 
         Args:
           folder: of the files; created if absent, emptied if it was written by other code.
           report: called with the number of steps so far after each result.
           code: source of user-defined effects, part of the digest.
+          expect: called with the number of steps that the phase of the search which has begun takes, about.
         """
         super().__init__()
-        self._folder, self._report = folder, report
+        self._folder, self._report, self._expect = folder, report, expect
         self._code, self._begun = _code() + code, time.time()
         folder.mkdir(parents=True, exist_ok=True)
         mark = hashlib.sha256(self._code).hexdigest()
@@ -72,6 +78,11 @@ class Journal(Counter):
             if self._report is not None:
                 self._report(self.steps)
 
+    def expect(self, steps: float) -> None:
+        """Tell how many steps the phase that has begun takes, about."""
+        if self._expect is not None:
+            self._expect(steps)
+
     def store(self, path: Path | None, states: Sequence[np.ndarray], steps: int) -> None:
         """Write the states of jobs, which took these steps, to their file."""
         assert path is not None
@@ -82,55 +93,6 @@ class Journal(Counter):
     def close(self) -> None:
         """Remove the files, at the end of a search."""
         shutil.rmtree(self._folder, ignore_errors=True)
-
-
-@contextmanager
-def followed_search(
-    folder: Path,
-    checkpoint: Callable[[], None],
-    *,
-    total: int | None = None,
-    code: bytes = b"",
-    show: bool | None = False,
-) -> Iterator[tuple[Journal, Callable[[str], None]]]:
-    """Follow a search with a progress bar and keep a journal of it.
-
-    Args:
-      folder: of the journal; it stays until `Journal.close`.
-      checkpoint: called often; raises Interrupted to stop the search.
-      total: steps of the search; None where they are not known, but estimated from phase to phase.
-      code: of user-defined effects, see `Journal`.
-      show: as of `progress`.
-
-    Yields:
-      The journal, and what to call with a word on what is being done.
-    """
-    begun = 0
-    with progress(total=total, description="search", unit="steps", unit_scale=True, show=show) as bar:
-
-        def say(phase: str) -> None:
-            nonlocal begun
-            bar.set_description(phase)
-            part = next((part for name, part in _DONE.items() if phase.startswith(name)), None)
-            if part == 0:
-                begun = bar.n
-            elif part is not None and total is None:
-                bar.total = begun + round((bar.n - begun) / part)
-            checkpoint()
-
-        def count(steps: int) -> None:
-            if bar.total is not None and steps > bar.total:
-                bar.total = None  # more than was estimated: nothing is known of the time left
-            bar.update(steps - bar.n)
-            checkpoint()
-
-        yield Journal(folder, count, code), say
-        bar.total = bar.n
-
-
-_DONE = {"state estimates": 0.0, "signatures": 0.2, "leaders": 0.4, "lack of fit": 0.87}
-"""Part of the steps of a search that lie before a phase, where a robot touches the world: before the leaders 0.37 to
-0.49 with two quadrupeds and a hexapod (`python -m btr_mjx.diagnose --demo --robot quadruped`)."""
 
 
 def _key(code: bytes, jobs: Sequence[Job], timestep: float | None) -> str:
