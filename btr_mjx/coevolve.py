@@ -27,8 +27,6 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-import tyro
-
 from btr_mjx.backtoreality import (
     PRESETS,
     CoevolveConfig,
@@ -52,7 +50,16 @@ from btr_mjx.models import base_model
 from btr_mjx.pages import PAGE, draw_run_page
 from btr_mjx.plotting import attempt
 from btr_mjx.robots import Robot
-from btr_mjx.runs import IGNORED_FIELDS, RunFolder, claimed_folder, graceful_interrupt, note, write_arrays, write_json
+from btr_mjx.runs import (
+    IGNORED_FIELDS,
+    RunFolder,
+    claimed_folder,
+    graceful_interrupt,
+    note,
+    parsed,
+    write_arrays,
+    write_json,
+)
 
 
 def coevolve(robot: Robot | Path | str | None = None, **settings: Any) -> dict[str, Any]:
@@ -136,8 +143,8 @@ def parse(argv: Sequence[str]) -> CoevolveConfig:
             chosen = argv[position + 1]
         elif word.startswith("--preset="):
             chosen = word.removeprefix("--preset=")
-    default = PRESETS.get(chosen, PRESETS["quick"])  # for another value, tyro's error names the valid ones
-    return tyro.cli(CoevolveConfig, args=list(argv), default=default, description=__doc__, prog="btr_mjx.coevolve")
+    default = PRESETS.get(chosen, PRESETS["quick"])  # for another value, the error names the valid ones
+    return parsed(CoevolveConfig, argv, default=default, description=__doc__, prog="btr_mjx.coevolve")
 
 
 @cli_errors()

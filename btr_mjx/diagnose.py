@@ -47,6 +47,8 @@ from btr_mjx.runs import (
     claimed_folder,
     content_digest,
     graceful_interrupt,
+    parsed,
+    progress,
     read_json,
     write_json,
     write_text,
@@ -78,7 +80,8 @@ class DiagnoseConfig:
     seed: int | None = None
     """Seed of everything random, 0 unless given; with --demo that of the hidden case, by default one that is named."""
     progress: bool = True
-    """Show a progress bar (lines now and then where there is no terminal)."""
+    """Show progress and remarks (lines now and then where there is no terminal). --quiet is another name of
+    --no-progress: the result, warnings and errors only."""
     figures: bool = True
     """Draw the page and its figures."""
     export: tuple[Literal["rerun", "mcap"], ...] = ()
@@ -176,7 +179,7 @@ def _run(
             if dataset is None:
                 _make_demo(run.path, config)
                 dataset, findings = examine(run.path / "demo", library, config.signal, config.progress)
-            print_findings(findings)
+            print_findings(findings, notes=config.progress)
             save_findings(findings, run.path / "preflight.csv")
             if inferred := getattr(dataset, "inferred", ""):
                 write_text(run.path / "dataset.toml", inferred)
@@ -197,7 +200,8 @@ def _run(
             result = read_json(run.path / RESULT)
             tell(result, run.path)
             if config.figures:
-                attempt(PAGE, lambda: draw_report(run.path))
+                with progress(description=PAGE, show=config.progress, bar_format="drawing {desc}"):
+                    attempt(PAGE, lambda: draw_report(run.path))
             for path in export_motions(run.path, config.export):
                 print(path, flush=True)
             return result
@@ -303,7 +307,7 @@ def _print_all(config: DiagnoseConfig, result: dict[str, Any], out: Path) -> Non
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
     argv = sys.argv[1:] if argv is None else list(argv)
-    config = tyro.cli(DiagnoseConfig, args=list(argv), description=__doc__, prog="btr_mjx.diagnose")
+    config = parsed(DiagnoseConfig, argv, description=__doc__, prog="btr_mjx.diagnose")
     check_diagnosis(config)
     with nullcontext(config) if config.check else _claimed(config) as config:
         import mujoco

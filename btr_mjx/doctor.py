@@ -13,10 +13,9 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import tyro
-
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.health import CHECKS, CheckResult, run_checks
+from btr_mjx.runs import parsed
 
 OFF_CODE = 1
 """Exit code where something is off."""
@@ -59,7 +58,7 @@ def examine_installation(config: DoctorConfig = DoctorConfig()) -> dict[str, Che
 @cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
-    config = tyro.cli(DoctorConfig, args=argv, description=__doc__, prog="btr_mjx.doctor")
+    config = parsed(DoctorConfig, argv, description=__doc__, prog="btr_mjx.doctor")
     results = examine_installation(config)
     if any(result.state == "off" for result in results.values()):
         raise SystemExit(OFF_CODE)

@@ -6,8 +6,9 @@ from typing import Annotated
 
 import tyro
 
-from btr_mjx.errors import cli_errors
+from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.plotting import draw_folder
+from btr_mjx.runs import parsed
 
 
 @cli_errors()
@@ -22,7 +23,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         """
         return folders
 
-    folders = tyro.cli(command, args=argv, prog="btr_mjx.plots")
+    folders = parsed(command, argv, prog="btr_mjx.plots")
+    if not folders:
+        raise InputError("got no run folder; give one or more, such as runs/quick-0")
     for folder in folders:
         for path in draw_folder(folder):
             print(path)

@@ -19,6 +19,7 @@ import tyro
 
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.report import report
+from btr_mjx.runs import parsed
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class ReplayConfig:
     limit: float = 2.0
     """Largest size of a GIF [MB]; a film that is larger is made smaller, in pixels."""
     progress: bool = True
-    """Show a progress bar."""
+    """Show progress. --quiet is another name of --no-progress."""
 
 
 def check_replay(config: ReplayConfig) -> Path:
@@ -108,7 +109,7 @@ def replay(config: ReplayConfig) -> Path | None:
 @cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
-    config = tyro.cli(ReplayConfig, args=argv, description=__doc__, prog="btr_mjx.replay")
+    config = parsed(ReplayConfig, argv, description=__doc__, prog="btr_mjx.replay")
     out = replay(config)
     if out is not None:
         print(f"{out} ({out.stat().st_size / 1e6:.2f} MB)")

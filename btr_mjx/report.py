@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 import tyro
 
 from btr_mjx.errors import InputError, cli_errors
+from btr_mjx.runs import parsed
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,9 @@ def check_report(config: ReportConfig) -> None:
 @cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
-    config = tyro.cli(ReportConfig, args=argv, description=__doc__, prog="btr_mjx.report")
+    config = parsed(ReportConfig, argv, description=__doc__, prog="btr_mjx.report")
+    if not config.runs:
+        raise InputError("got no run folder; give one or more, such as runs/quick-0")
     if config.export:
         check_report(config)
     for run in config.runs:

@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import tyro
 
 from btr_mjx.backtoreality import (
     ScanConfig,
@@ -37,7 +36,16 @@ from btr_mjx.gap.results import format_number
 from btr_mjx.models import robot_digest
 from btr_mjx.pages import PAGE, draw_run_page
 from btr_mjx.plotting import attempt
-from btr_mjx.runs import IGNORED_FIELDS, RunFolder, content_digest, progress, say_progress, write_arrays, write_json
+from btr_mjx.runs import (
+    IGNORED_FIELDS,
+    RunFolder,
+    content_digest,
+    parsed,
+    progress,
+    say_progress,
+    write_arrays,
+    write_json,
+)
 
 __all__ = ["ScanConfig", "along", "curve_statistics", "delta", "delta_fitness", "main", "run_scan"]
 
@@ -45,7 +53,7 @@ __all__ = ["ScanConfig", "along", "curve_statistics", "delta", "delta_fitness", 
 @cli_errors()
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the command."""
-    config = tyro.cli(ScanConfig, args=argv, description=__doc__, prog="btr_mjx.scan")
+    config = parsed(ScanConfig, argv, description=__doc__, prog="btr_mjx.scan")
     resume = None if config.out is None else resume_command("btr_mjx.scan", argv)
     with cli_errors(resume):
         if config.resume and config.out is None:

@@ -40,21 +40,22 @@ def run_in_folder(problem: Problem, run: RunFolder, stop: StopRequest, show: boo
         state, step = state_from_arrays(checkpoint.arrays, checkpoint.meta), checkpoint.step + 1
 
     first = step
+    remark: Callable[[str], None] = note if show else lambda line: None
 
     def report(say: Callable[[str], None] | None, kind: str, row: dict[str, Any]) -> None:
         if kind == "archive":
             run.add_file(_write_archive(run.path, grown(problem, state.grown), row))
         elif kind == "growth":
-            note(growth_sentence(row))
+            remark(growth_sentence(row))
         elif kind == "planned":
-            note(f"before the first trials: {row['told']}")
+            remark(f"before the first trials: {row['told']}")
         elif kind == "seeking":
             assert say is not None
             say(row["phase"])
         else:
             tables[kind].append(row)
             if kind == "iteration":
-                note(f"iteration {row['iteration']}: {row['told']}")
+                remark(f"iteration {row['iteration']}: {row['told']}")
 
     show = show and state.phase != "done"
     with progress(total=int(_pairs_left(problem, state)), description="pairs", unit="pairs", show=show) as bar:

@@ -24,7 +24,8 @@ class RunSettings:
     """How simulations are computed. auto measures before the first trial whether lanes or native is the faster one for
     the whole run, and writes it to the run's config."""
     progress: bool = True
-    """Show a progress bar (lines now and then where there is no terminal)."""
+    """Show progress and remarks (lines now and then where there is no terminal). --quiet is another name of
+    --no-progress: the result, warnings and errors only."""
     figures: bool = True
     """Draw the page and its figures at the end."""
     fitness: str | None = None

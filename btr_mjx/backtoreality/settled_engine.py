@@ -39,7 +39,8 @@ def with_measured_engine[Config: RunSettings](
         note("choosing the engine: lanes may have to compile, for up to half a minute")
     states = config.fitness_of(robot).needs_states
     choice = choose_engine(robot, pairs=pairs, batch=batch, states=states)
-    note(choice.reason)
+    if config.progress:
+        note(choice.reason)
     config = replace(config, engine=choice.engine)
     settle(config)
     return config

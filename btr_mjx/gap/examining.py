@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from btr_mjx.errors import InputError, is_bad_input, one_line
-from btr_mjx.runs import progress, say_progress
+from btr_mjx.runs import progress
 
 if TYPE_CHECKING:
     from btr_mjx.gap.data import Dataset
@@ -55,9 +55,9 @@ def examine(
                 bar.update(done - bar.n)
 
         dataset = open_dataset(folder, report, logs)
-        checks = stack.enter_context(progress(description="checks", show=None if show else False))
-        say_progress(checks, "checks", numbers=False)
+        checks = progress(description="checks", show=None if show else False, bar_format="{desc}")
         checks.leave = False
+        stack.enter_context(checks)
         from btr_mjx.gap.preflight import preflight
 
         return dataset, preflight(dataset, [effect.name for effect in library])
@@ -103,6 +103,6 @@ def examine_earlier(
             if not is_bad_input(error):
                 raise
             raise InputError(f"--before {path}: {one_line(error)}") from error
-        print_findings(findings, str(path))
+        print_findings(findings, str(path), show)
         earlier.append(own)
     return earlier

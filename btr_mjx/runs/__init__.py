@@ -16,6 +16,7 @@ from btr_mjx.runs.bounded_files import (
 )
 from btr_mjx.runs.checkpoints import read_checkpoint
 from btr_mjx.runs.checksums import check_listed, check_sums
+from btr_mjx.runs.command_words import parsed
 from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json, differences, read_config, read_config_json
 from btr_mjx.runs.digests import content_digest
 from btr_mjx.runs.environment import COMPILER_OPTIONS, available_cores, describe_environment, package_version
@@ -65,6 +66,7 @@ __all__ = [
     "note",
     "package_version",
     "parse_json",
+    "parsed",
     "progress",
     "read_arrays",
     "read_checkpoint",

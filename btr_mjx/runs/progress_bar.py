@@ -34,6 +34,7 @@ def progress(
     unit: str = "it",
     unit_scale: bool = False,
     show: bool | None = None,
+    bar_format: str | None = None,
     interval: float = LINE_INTERVAL,
     file: TextIO | None = None,
 ) -> Any:
@@ -48,6 +49,7 @@ def progress(
       unit: what is counted, e.g. "pairs".
       unit_scale: write 1234567 as 1.23M.
       show: True: always (lines where there is no terminal); False: never; None: on a terminal only.
+      bar_format: of tqdm; None for its own.
       interval: minimum time between two lines [s].
       file: output stream; None means stderr.
 
@@ -57,6 +59,7 @@ def progress(
     stream = sys.stderr if file is None else file
     terminal = hasattr(stream, "isatty") and stream.isatty()
     scaled = {"iterable": iterable, "total": total, "desc": description, "unit": unit, "unit_scale": unit_scale}
+    scaled["bar_format"] = bar_format
     if show is False or (show is None and not terminal):
         return tqdm(disable=True, **scaled)
     if terminal:

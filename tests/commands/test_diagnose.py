@@ -69,7 +69,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 
 def test_a_run_folder(folder: Path, searches: list, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     run = tmp_path / "run"
-    diagnose.main([str(folder), "--out", str(run), "--no-progress", "--max-effects", "1", "--seed", "3"])
+    diagnose.main([str(folder), "--out", str(run), "--max-effects", "1", "--seed", "3"])
     out = capsys.readouterr().out
     assert out.startswith("preflight\n")
     assert "2 recordings to fit and 1 held out" in out
@@ -78,6 +78,16 @@ def test_a_run_folder(folder: Path, searches: list, capsys: pytest.CaptureFixtur
     assert searches[0]["max_effects"] == 1
     assert searches[0]["seed"] == 3
     assert searches[0]["effects"] == [effect.name for effect in EFFECTS]
+
+
+def test_quiet(folder: Path, searches: list, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The result, and nothing on stderr; findings that are no warning are in the files only."""
+    diagnose.main([str(folder), "--out", str(tmp_path / "run"), "--quiet"])
+    out, other = capsys.readouterr()
+    assert "2 recordings to fit" not in out
+    assert "dry friction" in out
+    assert other == ""
+    assert "2 recordings to fit" in (tmp_path / "run" / "preflight.csv").read_text()
     result = json.loads((run / "result.json").read_text())
     assert result["verdict"] == "effect"
     (effect,) = result["effects"]

@@ -188,6 +188,20 @@ def test_graceful_interrupt():
     assert not issubclass(Interrupted, Exception)
 
 
+def test_anywhere():
+    """One signal stops at once what may be stopped anywhere, and no more than that."""
+    with progress.graceful_interrupt() as stop:
+        with pytest.raises(Interrupted, match=r"at once \(SIGTERM\)"), stop.anywhere():
+            signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(Interrupted), stop.anywhere():
+            pytest.fail("a stop was requested before")
+    with progress.graceful_interrupt() as stop:
+        with stop.anywhere():
+            pass
+        signal.raise_signal(signal.SIGTERM)
+        assert stop.requested
+
+
 def test_graceful_interrupt_in_a_thread():
     import threading
 

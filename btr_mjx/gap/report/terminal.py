@@ -11,13 +11,17 @@ from btr_mjx.gap.results import effect_at_place, effect_title, place_in_words
 from btr_mjx.pages import PAGE
 
 
-def print_findings(findings: Sequence[Finding], what: str = "") -> None:
-    """Print the findings of preflight, errors first.
+def print_findings(findings: Sequence[Finding], what: str = "", notes: bool = True) -> None:
+    """Print the findings of preflight, errors first; nothing where there are none.
 
     Args:
       findings: to print.
       what: recordings that they are about, where there are several sets.
+      notes: print what is neither an error nor a warning, too.
     """
+    findings = [finding for finding in findings if notes or finding.level != "note"]
+    if not findings:
+        return
     print(f"preflight{f' of {what}' if what else ''}")
     for finding in findings:
         mark = "" if finding.level == "note" else f"{finding.level}: "

@@ -109,8 +109,8 @@ def followed_search(
       The journal, and what to call with a word on what is being done.
     """
     share, begun = SearchShare(total), time.monotonic()
-    with progress(total=100, description="search", show=show) as bar:
-        bar.bar_format, bar.smoothing, bar.miniters = _FORMAT, 0.0, 0
+    with progress(total=100, description="search", show=show, bar_format=_FORMAT) as bar:
+        bar.smoothing, bar.miniters = 0.0, 0
 
         def say(phase: str) -> None:
             share.enter(phase, journal.steps)
