@@ -53,16 +53,12 @@ def parsed[T](
     raise InputError(f"{_told(told)}; {prog} --help describes all flags")
 
 
-def words_of(words: Sequence[str] | None) -> list[str]:
-    """Words of a command line; None for those of this process."""
-    return list(sys.argv[1:] if words is None else words)
-
-
 def _told(box: str) -> str:
     """What tyro says of wrong words, without the box around it and the help of flags."""
-    rows = [line.strip("│╭╮╰╯ ") for line in box.splitlines()]
-    rules = [i for i, row in enumerate(rows) if not row.strip("─ ")] or [len(rows)]
-    what = " ".join(row for row in rows[1 : rules[0]] if row).partition(" Got errors:")[0]
-    near = [row for row in rows[rules[0] :] if row.startswith("--") and not row.endswith("--help")]
+    rows = [line.strip("│| ") for line in box.splitlines()[1:]]  # the first one is a title
+    rules = [i for i, row in enumerate(rows) if not row.strip("╰─╯+- ")] or [len(rows)]
+    inner = [i for i in rules if i > 0] or [len(rows)]
+    what = " ".join(row for row in rows[: inner[0]] if row.strip("╰─╯+- ")).partition(" Got errors:")[0]
+    near = [row for row in rows[inner[0] :] if row.startswith("--") and row.strip("╰─╯+- ")]
     meant = f" (perhaps {near[0].split(',')[0].split(' ')[0]})" if "Perhaps you meant:" in rows and near else ""
     return what.rstrip(".") + meant

@@ -79,15 +79,6 @@ def test_a_run_folder(folder: Path, searches: list, capsys: pytest.CaptureFixtur
     assert searches[0]["seed"] == 3
     assert searches[0]["effects"] == [effect.name for effect in EFFECTS]
 
-
-def test_quiet(folder: Path, searches: list, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """The result, and nothing on stderr; findings that are no warning are in the files only."""
-    diagnose.main([str(folder), "--out", str(tmp_path / "run"), "--quiet"])
-    out, other = capsys.readouterr()
-    assert "2 recordings to fit" not in out
-    assert "dry friction" in out
-    assert other == ""
-    assert "2 recordings to fit" in (tmp_path / "run" / "preflight.csv").read_text()
     result = json.loads((run / "result.json").read_text())
     assert result["verdict"] == "effect"
     (effect,) = result["effects"]
@@ -106,6 +97,16 @@ def test_quiet(folder: Path, searches: list, capsys: pytest.CaptureFixture[str],
     assert "<li>More viscous damping.</li>" in (run / "report.html").read_text()
     names = {path.name for path in run.iterdir()}
     assert {"config.json", "environment.json", "preflight.csv", "ranking.csv", "report.html", "mended.xml"} <= names
+
+
+def test_quiet(folder: Path, searches: list, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The result, and nothing on stderr; findings that are no warning are in the files only."""
+    diagnose.main([str(folder), "--out", str(tmp_path / "run"), "--quiet"])
+    out, other = capsys.readouterr()
+    assert "2 recordings to fit" not in out
+    assert "dry friction" in out
+    assert other == ""
+    assert "2 recordings to fit" in (tmp_path / "run" / "preflight.csv").read_text()
 
 
 def test_a_page_that_fails_is_one_line_after_the_result(
@@ -142,24 +143,28 @@ def test_reading_shows_a_bar(
     size = sum(path.stat().st_size for path in folder.iterdir() if path.suffix in (".npz", ".csv", ".parquet"))
     lines = capsys.readouterr().err.splitlines()
     assert re.match(r"reading: +0%.* 0\.00/", lines[0])
-    assert any(re.match(rf"checks: 100%.* {size / 1000:.3g}k", line) for line in lines), lines
+    assert any(re.match(rf"reading: 100%.* {size / 1000:.3g}k", line) for line in lines), lines
 
 
-def test_a_search_in_recordings_shows_no_remaining_time(
+def test_a_search_in_recordings_shows_the_time_left(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    def stand_in(*args: Any, counter: Journal, **more: Any) -> Any:
+    """From its first steps on, whatever their number."""
+
+    def stand_in(dataset: Any, library: Any, most: int, seed: int, note: Any, counter: Journal, **more: Any) -> Any:
+        note("state estimates")
         for _ in range(4):
             counter.add(1_000_000)
         return NOTHING
 
     monkeypatch.setattr(inference, "identify", stand_in)
-    monkeypatch.setattr("btr_mjx.gap.simulate.journal.progress", partial(progress, interval=0.0))
+    monkeypatch.setattr("btr_mjx.gap.simulate.following.progress", partial(progress, interval=0.0))
     diagnose.main([str(folder), "--out", str(tmp_path / "run"), "--no-figures"])
     lines = capsys.readouterr().err.splitlines()
-    assert any(": 1.00Msteps" in line for line in lines), lines
+    searching = [line for line in lines if line.startswith("state estimates") and "steps" in line]
+    assert len(searching) == 4
+    assert all(re.search(r" [1-9]\d?%\|.*<\d\d:\d\d, [1-4]\.00M steps", line) for line in searching), lines
     assert "100%" in lines[-1]
-    assert not any("%" in line or "<" in line for line in lines[:-1]), lines
 
 
 def test_a_finished_run_is_only_drawn_again(folder: Path, searches: list, tmp_path: Path) -> None:
@@ -226,31 +231,31 @@ def test_a_killed_search_goes_on(
     steps = json.loads((tmp_path / "whole" / "result.json").read_text())["steps"]
     run, journal = tmp_path / "run", Journal
 
-    def killed(path: Path, report: Callable[[int], None], code: bytes) -> Journal:
+    def killed(path: Path, report: Callable[[int], None], code: bytes, expect: Callable[[float], None]) -> Journal:
         def count(done: int) -> None:
             report(done)
             if done > 0.6 * steps:
                 raise KeyboardInterrupt
 
-        return journal(path, count, code)
+        return journal(path, count, code, expect)
 
-    monkeypatch.setattr("btr_mjx.gap.simulate.journal.Journal", killed)
+    monkeypatch.setattr("btr_mjx.gap.simulate.following.Journal", killed)
     with pytest.raises(SystemExit):
         diagnose.main([*argv, "--out", str(run)])
     saved = {path: path.stat().st_mtime_ns for path in (run / "search").iterdir()}
     assert len(saved) > 5
     err = capsys.readouterr().err
-    assert re.search(r"\d+ksteps .*steps/s", err)
+    assert re.search(r"k steps, .*steps/s", err)
     kept: list[int] = []
 
-    def watched(path: Path, report: Callable[[int], None], code: bytes) -> Journal:
+    def watched(path: Path, report: Callable[[int], None], code: bytes, expect: Callable[[float], None]) -> Journal:
         def count(done: int) -> None:
             report(done)
             kept.append(sum(p.stat().st_mtime_ns == t for p, t in saved.items()))
 
-        return journal(path, count, code)
+        return journal(path, count, code, expect)
 
-    monkeypatch.setattr("btr_mjx.gap.simulate.journal.Journal", watched)
+    monkeypatch.setattr("btr_mjx.gap.simulate.following.Journal", watched)
     diagnose.main([*argv, "--out", str(run), "--no-progress", "--resume"])
     assert set(kept) == {len(saved)}  # no answer was written again
     assert len(kept) > len(saved)

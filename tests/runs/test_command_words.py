@@ -62,7 +62,7 @@ def test_wrong_words(
 def test_every_command(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     main = importlib.import_module(f"btr_mjx.{command}").main
     with pytest.raises(SystemExit) as caught:
-        main(["--quiet", "--no-such-flag"])
+        main(["run", "--quiet", "--no-such-flag"])
     assert caught.value.code == 2
     out, error = capsys.readouterr()
     assert out == ""

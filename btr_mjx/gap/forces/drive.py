@@ -40,7 +40,7 @@ def drive_points(side: ForceSide, fit: Fitted) -> list[Point]:
     # Calibration at its bounds stands for what is missing: it starts anew.
     point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
     # Smoothed states know of jitter and of what sensors see; differences of positions do not.
-    stretches = fit.linear.stretches
+    stretches = fit.stretches
     found = drives(missing_force(stretches, point.hypothesis(side.library)))
     out = [_named(side, point, widest, dict(zip(DRIVE, found[:4], strict=True)))]
     if _STIFFNESS in widest:

@@ -6,9 +6,10 @@ import numpy as np
 
 from btr_mjx.gap.effects import OF_LOG
 from btr_mjx.gap.forces.horizons import follow_horizons
-from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, covariance, settled
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, covariance, numbers_of, with_numbers
 from btr_mjx.gap.forces.predictions import compared_predictions
 from btr_mjx.gap.forces.search import Named
+from btr_mjx.gap.forces.settling import settled
 from btr_mjx.gap.forces.unknowns import Library, calibrated_number
 
 _SEEN = 0.3
@@ -20,7 +21,7 @@ def without_invisible(side: ForceSide, fit: Fitted) -> Fitted:
     seen = _visible(fit.point.named)
     if len(seen) == len(fit.point.named):
         return fit
-    return settled(side, replace(fit.point, named=seen), fit.variances, about=fit.linear.stretches)
+    return settled(side, replace(fit.point, named=seen), fit.variances, about=fit.stretches)
 
 
 def last_numbers(side: ForceSide, fit: Fitted, follow: bool) -> tuple[Fitted, Point]:
@@ -35,7 +36,7 @@ def last_numbers(side: ForceSide, fit: Fitted, follow: bool) -> tuple[Fitted, Po
     if not fit.point.named:
         return fit, _followed(side, fit)
     point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
-    fits = [fit, settled(side, point, fit.variances, about=fit.linear.stretches)]
+    fits = [fit, settled(side, point, fit.variances, about=fit.stretches)]
     points = [_followed(side, own) for own in fits]
     makes = [own.hypothesis(side.library) for own in points]
     told = compared_predictions(side.stretches.data, makes, side.counter)[0, 1]
@@ -45,8 +46,14 @@ def last_numbers(side: ForceSide, fit: Fitted, follow: bool) -> tuple[Fitted, Po
 
 def _followed(side: ForceSide, fit: Fitted) -> Point:
     """The point of a fit as the mended model has it, with numbers that follow recordings."""
-    point = _without_log(side.library, _merged(side.library, fit.point))
-    return follow_horizons(side, point, covariance(side, fit), side.library)
+    point, spread = _without_log(side.library, _merged(side.library, fit.point)), covariance(side, fit)
+    named = [(candidate.name, candidate.parameters, values) for candidate, values in point.named]
+    start = (point.base, named, point.calibration, side.library.calibration.reach, spread, side.stretches.data)
+
+    def found() -> dict[str, np.ndarray]:
+        return {"numbers": numbers_of(follow_horizons(side, point, spread, side.library))}
+
+    return with_numbers(point, side.counter.remembered(("followed", start), found)["numbers"])
 
 
 def _without_log(library: Library, point: Point) -> Point:

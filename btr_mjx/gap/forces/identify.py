@@ -28,9 +28,8 @@ from btr_mjx.gap.effects import (
 )
 from btr_mjx.gap.forces.answer.found import SearchOutcome
 from btr_mjx.gap.forces.answer.outcome import diagnosis_of, with_tables_told
-from btr_mjx.gap.forces.confirmation import is_confirmed
 from btr_mjx.gap.forces.final_numbers import last_numbers, without_invisible
-from btr_mjx.gap.forces.held_out import HeldOut, held_out
+from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_confirmed
 from btr_mjx.gap.forces.law_scan import scan_laws
 from btr_mjx.gap.forces.missing_force import missing_force
 from btr_mjx.gap.forces.motion import responses

@@ -1,34 +1,18 @@
 """A hypothesis with its numbers and calibration, fitted by Gauss-Newton steps in true simulation."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from btr_mjx.gap.effects import Candidate, Hypothesis
-from btr_mjx.gap.forces.evidence import LeastSquares, least_squares, penalty
-from btr_mjx.gap.forces.kalman_filter import Filtered, Variances, filtered, smoothed
+from btr_mjx.gap.forces.evidence import penalty
+from btr_mjx.gap.forces.kalman_filter import Filtered, Variances, filtered
 from btr_mjx.gap.forces.motion import FreeNumber, Linearised, linearise_motion, responses
 from btr_mjx.gap.forces.stretches import Stretches
 from btr_mjx.gap.forces.unknowns import Library, calibrated_effects, calibrated_number, with_refitted
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.models import integrate
-
-_SETTLED = 1.0
-"""Fall of -2 ln p below which steps end early."""
-
-_SHORTEST = 0.1
-"""Part of a Gauss-Newton step that is tried at least."""
-
-ROUNDS = 20
-"""Rounds of steps of numbers and of variances, at most. Hypotheses are compared by likelihoods that have to be settled:
-a believed model that is 100 away from its best lacks what another one is given."""
-
-_FRESH = 3
-"""Steps with derivatives of their own; in later ones numbers move by little."""
-
-_UPDATES = 4
-"""Updates of variances in a round."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,25 +77,52 @@ class Point:
         return replace(self, named=tuple(named), calibration=calibration)
 
 
+Place = tuple[Point, Stretches]
+"""A point, and states around which the motion is linearised there."""
+
+
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """A point at which a side was linearised and filtered.
 
     Attributes:
       point: the point.
-      linear: the linearised motion.
-      columns: (S, K, 2 nv, p + n) of its numbers and of calibration.
-      whitened: of the residual and these columns.
-      variances: with which they were whitened.
+      variances: with which residual and columns were whitened.
       loss: -2 ln p, determinants included; inf where the model is no model of a body.
+      parts: its linearised motion, columns and what they are whitened, which are computed at the first call where the
+        fit was read from a file.
+      places: where columns of calibration, other derivatives, and the motion were computed.
     """
 
     point: Point
-    linear: Linearised
-    columns: np.ndarray
-    whitened: Filtered
     variances: Variances
     loss: float
+    parts: Callable[[], tuple[Linearised, np.ndarray, Filtered]]
+    places: tuple[Place, Place, Place]
+
+    @property
+    def linear(self) -> Linearised:
+        """The linearised motion."""
+        return self.parts()[0]
+
+    @property
+    def columns(self) -> np.ndarray:
+        """(S, K, 2 nv, p + n) derivatives with respect to its numbers and to calibration."""
+        return self.parts()[1]
+
+    @property
+    def whitened(self) -> Filtered:
+        """Of the residual and the columns."""
+        return self.parts()[2]
+
+    @property
+    def stretches(self) -> Stretches:
+        """With the states around which the motion is linearised."""
+        return self.places[-1][1]
+
+    def with_whitened(self, whitened: Filtered) -> "Fitted":
+        """The same with another residual and columns, whitened."""
+        return replace(self, parts=lambda: (self.linear, self.columns, whitened))
 
 
 def evaluate_point(
@@ -133,25 +144,44 @@ def evaluate_point(
       stretches: states around which the motion is linearised; None for those of `known`, or of the side.
     """
     if stretches is None:
-        stretches = side.stretches if known is None else known.linear.stretches
+        stretches = side.stretches if known is None else known.stretches
     kept = None if known is None or fresh else known.linear
     linear = linearise_motion(stretches, point.hypothesis(side.library), side.counter, kept)
+    here = (point, stretches)
     if known is not None and not fresh:
-        return _whitened(point, linear, known.columns, variances, side)
+        return _whitened(linear, known.columns, variances, side, (*known.places[:2], here))
     if known is None:
-        calibration = _calibration_columns(side, point, stretches)
+        calibration, first = _calibration_columns(side, point, stretches), here
     else:
-        calibration = known.columns[..., point.numbers :]
+        calibration, first = known.columns[..., point.numbers :], known.places[0]
     columns = np.concatenate([_own_columns(side, point, stretches), calibration], -1)
-    return _whitened(point, linear, columns, variances, side)
+    return _whitened(linear, columns, variances, side, (first, here, here))
+
+
+def evaluate_places(side: ForceSide, places: tuple[Place, Place, Place], variances: Variances) -> Fitted:
+    """Linearise and filter the last of three places, with derivatives that were computed at the others.
+
+    Args:
+      side: of the split.
+      places: of a fit, see `Fitted`.
+      variances: of sensors and random force.
+    """
+    (calibrated, about), (taken, derived), (last, moved) = places
+    columns = [_own_columns(side, taken, derived), _calibration_columns(side, calibrated, about)]
+    linear = linearise_motion(derived, taken.hypothesis(side.library), side.counter)
+    linear = linearise_motion(moved, last.hypothesis(side.library), side.counter, linear)
+    return _whitened(linear, np.concatenate(columns, -1), variances, side, places)
 
 
 def again(side: ForceSide, fit: Fitted, variances: Variances) -> Fitted:
     """The same point with other variances."""
-    return _whitened(fit.point, fit.linear, fit.columns, variances, side)
+    return _whitened(fit.linear, fit.columns, variances, side, fit.places)
 
 
-def _whitened(point: Point, linear: Linearised, columns: np.ndarray, variances: Variances, side: ForceSide) -> Fitted:
+def _whitened(
+    linear: Linearised, columns: np.ndarray, variances: Variances, side: ForceSide, places: tuple[Place, Place, Place]
+) -> Fitted:
+    point = places[-1][0]
     try:
         found = filtered(linear, columns, variances)
     except np.linalg.LinAlgError:
@@ -160,7 +190,7 @@ def _whitened(point: Point, linear: Linearised, columns: np.ndarray, variances: 
         found = Filtered(np.full((len(columns), size, size), np.inf), np.zeros(len(columns)), 0)
     loss = float(found.gram[:, 0, 0].sum() + found.log_determinant.sum())
     loss += variances.penalty + penalty(point.calibration, side.library.calibration)
-    return Fitted(point, linear, columns, found, variances, loss if np.isfinite(loss) else np.inf)
+    return Fitted(point, variances, loss if np.isfinite(loss) else np.inf, lambda: (linear, columns, found), places)
 
 
 def _own_columns(side: ForceSide, point: Point, stretches: Stretches) -> np.ndarray:
@@ -191,79 +221,6 @@ def _step(parameter, value: float) -> float:  # type: ignore[no-untyped-def]
     """A small step that stays within the range of a parameter."""
     step = 0.2 * parameter.step
     return step if parameter.low <= value + step <= parameter.high else -step
-
-
-def newton_step(side: ForceSide, fit: Fitted) -> LeastSquares:
-    """The Gauss-Newton step from a fitted point."""
-    p, n = fit.point.numbers, len(side.library.calibrated)
-    design = np.zeros((p + n, n))
-    design[p + np.arange(n), np.arange(n)] = 1.0
-    calibration = replace(side.library.calibration, design=design, at=fit.point.calibration)
-    free = np.zeros((p + n, p))
-    free[np.arange(p), np.arange(p)] = 1.0
-    values = np.array([v for _, own in fit.point.named for v in own])
-    parameters = [own for candidate, _ in fit.point.named for own in candidate.parameters]
-    low = np.array([own.low for own in parameters]) - values
-    high = np.array([own.high for own in parameters]) - values
-    return least_squares(fit.whitened.gram.sum(0), free, calibration, low, high)
-
-
-def settled(side: ForceSide, point: Point, variances: Variances, about: Stretches | None = None) -> Fitted:
-    """A point with numbers and variances at which the likelihood is largest.
-
-    Steps of the numbers and of the variances take turns: random forces start large, where the fit is nearly linear, and
-    fall as the numbers come right.
-
-    Args:
-      side: the recordings to fit.
-      point: where to start.
-      variances: with which to start.
-      about: states to start from; None for those of the side.
-
-    Returns:
-      The fitted point, as it was where its likelihood is nothing.
-    """
-    fit = evaluate_point(side, point, variances, stretches=about)
-    if np.isinf(fit.loss):
-        return fit
-    stuck, taken = False, 0
-    for _ in range(ROUNDS):
-        before, updated = fit.loss, fit.variances
-        for _ in range(_UPDATES):
-            updated = smoothed(fit.linear, np.zeros_like(fit.linear.defect), updated).variances
-        fit = again(side, fit, updated)
-        # A step that failed is tried again when variances have settled, which costs no simulation.
-        if not stuck or before - fit.loss < _SETTLED:
-            after = _stepped(side, fit, fresh=taken < _FRESH)
-            stuck, fit, taken = after is fit, after, taken + 1
-        if before - fit.loss < _SETTLED:
-            break
-    return fit
-
-
-def _stepped(side: ForceSide, fit: Fitted, fresh: bool) -> Fitted:
-    """The point behind the longest part of a Gauss-Newton step that does not lose; the same one where every part does.
-
-    Args:
-      side: the recordings to fit.
-      fit: where to start.
-      fresh: whether derivatives are computed there anew.
-    """
-    step, size, own = newton_step(side, fit), 1.0, fit.point.calibration
-    change = np.concatenate([step.values, step.calibration - own])
-    while size > _SHORTEST:
-        # Dry friction turns round within a sample: around states that are smoothed without it, it would be late.
-        states = smoothed(fit.linear, size * fit.columns @ change, fit.variances).state
-        trial = fit.point.moved(size * step.values, own + size * (step.calibration - own))
-        for about in (moved_states(fit.linear.stretches, states), fit.linear.stretches):
-            # Derivatives cost ten times what a step does that is tried and not taken.
-            after = evaluate_point(side, trial, fit.variances, fit, about)
-            if fresh and after.loss < fit.loss + 1.0:
-                after = evaluate_point(side, trial, fit.variances, fit, about, fresh=True)
-            if after.loss < fit.loss + 1.0:
-                return after
-        size *= 0.2
-    return fit
 
 
 def moved_states(stretches: Stretches, change: np.ndarray) -> Stretches:
@@ -309,6 +266,20 @@ def _sandwich(inverse: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     centred = gradient - gradient.mean(0)
     meat = centred.T @ centred * count / max(count - 1, 1)
     return np.diag(inverse @ meat @ inverse)
+
+
+def numbers_of(point: Point) -> np.ndarray:
+    """(p + n,) numbers of named effects, and calibration."""
+    return np.array([*(v for _, values in point.named for v in values), *point.calibration], float)
+
+
+def with_numbers(point: Point, numbers: np.ndarray) -> Point:
+    """A point with the numbers (p + n,) of another one of the same names."""
+    named, first = [], 0
+    for candidate, values in point.named:
+        named.append((candidate, tuple(float(v) for v in numbers[first : first + len(values)])))
+        first += len(values)
+    return replace(point, named=tuple(named), calibration=numbers[first:])
 
 
 def names(named: Sequence[tuple[Candidate, tuple[float, ...]]]) -> list[str]:

@@ -12,9 +12,10 @@ from btr_mjx.gap.forces.evidence import CalibrationPrior, least_squares
 from btr_mjx.gap.forces.kalman_filter import SPAN, Variances, filtered
 from btr_mjx.gap.forces.law_scan import scan_laws
 from btr_mjx.gap.forces.motion import linearise_motion, responses
-from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, names, settled
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, names
 from btr_mjx.gap.forces.predictions import RELATIVE_ERROR, compared_predictions
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
+from btr_mjx.gap.forces.settling import settled
 from btr_mjx.gap.forces.unknowns import LIMIT_SIZES, with_refitted
 
 _FAR = 0.02
@@ -89,7 +90,7 @@ def start(side: ForceSide, base: Hypothesis) -> tuple[ForceSide, Fitted]:
         )
     at = {e.columns[0][0]: v for e, v in zip(side.library.calibrated, fit.point.calibration, strict=True)}
     numbers = [with_refitted(number, at.get(i, 0.0)) for i, number in enumerate(side.library.numbers)]
-    stretches = fit.linear.stretches
+    stretches = fit.stretches
     columns = responses(stretches, fit.point.hypothesis(side.library), numbers, side.counter)
     side = replace(side, columns=columns)
     return side, settled(side, fit.point, fit.variances, about=stretches)
@@ -166,7 +167,7 @@ def _refined(side: ForceSide, fit: Fitted, leads: Sequence[Scanned], choices: in
             lead = replace(lead, values=_tightened(side, fit, lead))
             moved = fit.point
         point = replace(moved, named=(*moved.named, (lead.candidate, lead.values)))
-        out.append(_judged(side, fit, settled(side, point, fit.variances, about=fit.linear.stretches), choices))
+        out.append(_judged(side, fit, settled(side, point, fit.variances, about=fit.stretches), choices))
     return out
 
 
@@ -277,7 +278,7 @@ def pruned(side: ForceSide, fit: Fitted, null: Fitted) -> Fitted:
             named += _simpler(side, fit, i, single, least)
         if not named or named == fit.point.named:
             break
-        found = settled(side, replace(fit.point, named=named), fit.variances, about=fit.linear.stretches)
+        found = settled(side, replace(fit.point, named=named), fit.variances, about=fit.stretches)
         if found.loss - fit.loss > least * max(1, fit.point.numbers - found.point.numbers):
             break
         fit = found

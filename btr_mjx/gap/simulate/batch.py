@@ -6,10 +6,11 @@ its command is taken is said by `commands.command_phase`.
 """
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -55,6 +56,12 @@ class Counter:
     def lookup(self, jobs: Sequence[Job], timestep: float | None) -> tuple[list[np.ndarray] | None, Path | None]:
         """Stored states of these jobs, None if there are none; and the file that is theirs."""
         return None, None
+
+    def remembered(
+        self, parts: tuple[Any, ...], compute: Callable[[], Mapping[str, np.ndarray]]
+    ) -> Mapping[str, np.ndarray]:
+        """Arrays that are computed from `parts`, or were before, see `journal.Journal`."""
+        return compute()
 
     def add(self, steps: int) -> None:
         """Add to the number of steps."""

@@ -11,7 +11,7 @@ import hashlib
 import os
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -49,6 +49,7 @@ class Journal(Counter):
         """
         super().__init__()
         self._folder, self._report, self._expect = folder, report, expect
+        self._written: list[Path] = []
         self._code, self._begun = _code() + code, time.time()
         folder.mkdir(parents=True, exist_ok=True)
         mark = hashlib.sha256(self._code).hexdigest()
@@ -60,16 +61,31 @@ class Journal(Counter):
     def lookup(self, jobs: Sequence[Job], timestep: float | None) -> tuple[list[np.ndarray] | None, Path]:
         """Stored states of these jobs, None if there are none or the file is damaged; and their file."""
         path = self._folder / f"{_key(self._code, jobs, timestep)}.npz"
-        if not path.is_file():
-            return None, path
-        try:
-            saved = read_arrays(path, require_digest=True)
-        except DamagedFile:
-            return None, path
-        self.add(int(saved["steps"]))
-        if saved["begun"] != self._begun:
-            self.earlier = max(self.earlier, float(saved["seconds"]))
-        return [saved[f"states_{i}"] for i in range(len(jobs))], path
+        saved = self._read(path)
+        return None if saved is None else [saved[f"states_{i}"] for i in range(len(jobs))], path
+
+    def remembered(
+        self, parts: tuple[Any, ...], compute: Callable[[], Mapping[str, np.ndarray]]
+    ) -> Mapping[str, np.ndarray]:
+        """Arrays that are computed from `parts`, or were before and are read.
+
+        Once they are stored, what was simulated for them is not needed any more, and its files are removed. Not for
+        threads.
+
+        Args:
+          parts: all that the arrays depend on, besides code.
+          compute: computes them, with steps that this journal counts.
+        """
+        path = self._folder / f"{_digest([self._code, *parts])}.npz"
+        if (saved := self._read(path)) is not None:
+            return saved
+        first, begun = len(self._written), self.steps
+        found = compute()
+        inner, self._written = self._written[first:], self._written[:first]
+        self._write(path, found, self.steps - begun)
+        for own in inner:
+            own.unlink(missing_ok=True)
+        return found
 
     def add(self, steps: int) -> None:
         """Add to the number of steps and report it."""
@@ -86,9 +102,26 @@ class Journal(Counter):
     def store(self, path: Path | None, states: Sequence[np.ndarray], steps: int) -> None:
         """Write the states of jobs, which took these steps, to their file."""
         assert path is not None
-        arrays = {f"states_{i}": own for i, own in enumerate(states)}
+        self._write(path, {f"states_{i}": own for i, own in enumerate(states)}, steps)
+
+    def _read(self, path: Path) -> dict[str, np.ndarray] | None:
+        """What a file holds, counted; None where there is none, or a damaged one."""
+        if not path.is_file():
+            return None
+        try:
+            saved = read_arrays(path, require_digest=True)
+        except DamagedFile:
+            return None
+        self._written.append(path)
+        self.add(int(saved["steps"]))
+        if saved["begun"] != self._begun:
+            self.earlier = max(self.earlier, float(saved["seconds"]))
+        return saved
+
+    def _write(self, path: Path, arrays: Mapping[str, np.ndarray], steps: int) -> None:
         seconds = time.time() - self._begun + self.earlier
-        write_arrays(path, arrays | {"steps": steps, "seconds": seconds, "begun": self._begun})
+        write_arrays(path, {**arrays, "steps": steps, "seconds": seconds, "begun": self._begun})
+        self._written.append(path)
 
     def close(self) -> None:
         """Remove the files, at the end of a search."""
@@ -102,12 +135,17 @@ def _key(code: bytes, jobs: Sequence[Job], timestep: float | None) -> str:
         parts += [segments.start, segments.qpos, segments.qvel, segments.samples, segments.recording, segments.act]
         parts += [world.model, world.offset, world.wrench, len(world.laws), len(world.command_edits)]
         for function in (*world.laws, *world.command_edits):
-            try:
-                parts.append(content_digest(function, unknown=_random))
-            except RecursionError:  # a law that holds itself
-                parts.append(os.urandom(16))
+            parts.append(_digest(function))
         parts += [segments.commands[recording] for recording in np.unique(segments.recording).tolist()]
     return content_digest(parts)
+
+
+def _digest(value: Any) -> str:
+    """Digest of a value; one that never matches where its content is not known."""
+    try:
+        return content_digest(value, unknown=_random)
+    except RecursionError:  # a law that holds itself
+        return os.urandom(16).hex()
 
 
 def _random(value: Any) -> bytes:

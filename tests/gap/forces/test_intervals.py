@@ -24,7 +24,7 @@ def fitted(columns: np.ndarray, residual: np.ndarray) -> tuple[ForceSide, Fitted
     )
     every = np.concatenate([residual[..., None], columns], -1)
     whitened = Filtered(np.swapaxes(every, 1, 2) @ every, np.zeros(len(every)), ROWS)
-    return side, Fitted(Point(believed(), named, np.zeros(1)), None, None, whitened, None, 0.0)  # type: ignore[arg-type]
+    return side, Fitted(Point(believed(), named, np.zeros(1)), None, 0.0, lambda: (None, None, whitened), ())  # type: ignore
 
 
 @pytest.fixture(scope="module")

@@ -16,12 +16,13 @@ from btr_mjx.gap.forces.held_out import held_out, is_better
 from btr_mjx.gap.forces.horizons import cut_horizons
 from btr_mjx.gap.forces.kalman_filter import filtered, smoothed
 from btr_mjx.gap.forces.motion import FreeNumber, responses
-from btr_mjx.gap.forces.points import ForceSide, Point, again, covariance, evaluate_point, newton_step, settled
+from btr_mjx.gap.forces.points import ForceSide, Point, again, covariance, evaluate_point
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_better, predicts_worse
 from btr_mjx.gap.forces.scan import price
 from btr_mjx.gap.forces.search import _unbeaten, first_variances, one_more, pruned, shortlist, start
+from btr_mjx.gap.forces.settling import newton_step, settled
 from btr_mjx.gap.forces.unknowns import library_of
-from btr_mjx.gap.simulate import Counter
+from btr_mjx.gap.simulate import Counter, Journal
 from btr_mjx.gap.windows import scales_of
 from btr_mjx.models import PathParameter
 
@@ -109,7 +110,7 @@ def test_a_body_without_inertia_is_no_hypothesis(sides, null) -> None:
     light = replace(null.linear, force=1e9 * null.linear.force)
     with pytest.raises(np.linalg.LinAlgError):
         filtered(light, null.columns, null.variances)
-    assert again(side, replace(null, linear=light), null.variances).loss == np.inf
+    assert again(side, replace(null, parts=lambda: (light, null.columns, null.whitened)), null.variances).loss == np.inf
 
 
 def test_a_believed_model_without_inertia_is_refused(sides, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -311,3 +312,30 @@ def test_a_single_stretch_confirms_nothing(sides, named, null) -> None:
     alone = [replace(own, loss=own.loss[:1], chi2=own.chi2[:1]) for own in (before, after)]
     assert alone[1].loss < alone[0].loss
     assert not is_better(*alone)
+
+
+def test_a_fit_that_is_read_is_the_one_that_was_stored(sides, null, tmp_path):
+    """Bit for bit, with the same number of steps; and what was simulated for it is not kept."""
+    point = damping(sides[0], 0.01)
+    first, again_, plain = Journal(tmp_path), Journal(tmp_path), Counter()
+    fit = settled(replace(sides[0], counter=first), point, null.variances)
+    assert len(list(tmp_path.glob("*.npz"))) == 1
+    assert (
+        sum(path.stat().st_size for path in tmp_path.iterdir())
+        < 0.5 * fit.columns.nbytes + fit.linear.transition.nbytes
+    )
+    read = settled(replace(sides[0], counter=again_), point, null.variances)
+    expected = settled(replace(sides[0], counter=plain), point, null.variances)
+    assert first.steps == again_.steps == plain.steps > 0
+    for own in (fit, read):
+        assert own.point.named == expected.point.named
+        assert own.loss == expected.loss
+        np.testing.assert_array_equal(own.point.calibration, expected.point.calibration)
+        np.testing.assert_array_equal(own.columns, expected.columns)
+        np.testing.assert_array_equal(own.whitened.gram, expected.whitened.gram)
+        np.testing.assert_array_equal(own.variances.weight, expected.variances.weight)
+        for name in ("defect", "transition", "force", "slope"):
+            np.testing.assert_array_equal(getattr(own.linear, name), getattr(expected.linear, name))
+    other = settled(replace(sides[0], counter=again_), damping(sides[0], 0.011), null.variances)
+    assert other.loss != read.loss
+    assert len(list(tmp_path.glob("*.npz"))) == 2

@@ -41,8 +41,8 @@ def test_share_of_expected_steps() -> None:
     share = SearchShare()
     share.enter("effects of the library", 0)
     share.expect(1000)
-    assert share.at(500) == pytest.approx(0.5 * 0.16)
-    assert 0.8 * 0.16 < share.at(1000) < 0.16  # what was expected may be too little
+    assert share.at(500) == pytest.approx(0.5 * 0.14)
+    assert 0.8 * 0.14 < share.at(1000) < 0.14  # what was expected may be too little
     known = SearchShare(total=1000)
     known.enter("leaders", 100)
     assert known.at(500) == pytest.approx(0.5)

@@ -210,3 +210,22 @@ def test_interrupted_search_resumes_bit_identically(tmp_path: Path) -> None:
     np.testing.assert_equal(results[0], results[1])
     np.testing.assert_array_equal(whole.disagreement.value, resumed.disagreement.value)
     assert [s.values(True).tolist() for s in whole.survivors] == [s.values(True).tolist() for s in resumed.survivors]
+
+
+def test_what_was_computed_is_remembered_instead_of_its_simulations(tmp_path: Path) -> None:
+    def compute(journal: Journal, seed: int) -> dict[str, np.ndarray]:
+        return {"mean": simulate([(World.of(arm()), segments(seed))], counter=journal)[0].mean((0, 1))}
+
+    def remembered(journal: Journal, seed: int) -> np.ndarray:
+        return journal.remembered(("mean", seed), partial(compute, journal, seed))["mean"]
+
+    first, again = Journal(tmp_path), Journal(tmp_path)
+    simulate([(World.of(arm()), segments(7))], counter=first)
+    before = set(tmp_path.glob("*.npz"))
+    found = remembered(first, 0)
+    assert before < set(tmp_path.glob("*.npz"))
+    assert len(set(tmp_path.glob("*.npz")) - before) == 1
+    simulate([(World.of(arm()), segments(7))], counter=again)
+    np.testing.assert_array_equal(remembered(again, 0), found)
+    assert again.steps == first.steps
+    assert not np.array_equal(remembered(again, 1), found)

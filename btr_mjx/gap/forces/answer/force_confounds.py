@@ -23,7 +23,7 @@ def confounds_of(side: ForceSide, fit: Fitted) -> tuple[Confound, ...]:
     """
     p = fit.point.numbers
     own = fit.columns[..., :p]
-    stretches = fit.linear.stretches
+    stretches = fit.stretches
     if stretches.time.shape != side.stretches.time.shape or not p:
         return ()
     gram = filtered(fit.linear, np.concatenate([side.columns, own], -1), fit.variances).gram.sum(0)[1:, 1:]

@@ -30,7 +30,7 @@ def joint_forces(side: ForceSide, first: Fitted, last: Fitted) -> tuple[JointFor
     """
     model = side.stretches.data.recordings[0].model
     before, after = map(_random_force, (first, last))
-    states = joint_states(last.linear.stretches, last.point.hypothesis(side.library))
+    states = joint_states(last.stretches, last.point.hypothesis(side.library))
     scalar = model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
     usual = np.sqrt((states.load**2).mean((0, 1)) + (before**2).mean((0, 1)) + 1e-300)
     share = np.sqrt((before**2).mean((0, 1))) / usual

@@ -16,8 +16,9 @@ from btr_mjx.gap.effects import OF_LOG, TIMING, Candidate, Hypothesis
 from btr_mjx.gap.forces.answer.found import SearchOutcome
 from btr_mjx.gap.forces.evidence import CalibrationPrior
 from btr_mjx.gap.forces.kalman_filter import Filtered, Variances, smoothed
-from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, again, covariance, evaluate_point, newton_step
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, again, covariance, evaluate_point
 from btr_mjx.gap.forces.sets.combined import Named, at_single_places, combined
+from btr_mjx.gap.forces.settling import newton_step
 from btr_mjx.gap.forces.unknowns import (
     BELIEVED,
     MOST_CALIBRATED,
@@ -78,7 +79,7 @@ def carried_of(found: SearchOutcome) -> Carried:
     change = np.concatenate([step.values, step.calibration - fit.point.calibration])
     turn = np.eye(1 + len(change))
     turn[1:, 0] = change
-    moved = replace(pooled, whitened=replace(pooled.whitened, gram=turn.T @ pooled.whitened.gram @ turn))
+    moved = pooled.with_whitened(replace(pooled.whitened, gram=turn.T @ pooled.whitened.gram @ turn))
     recording = np.r_[side.stretches.recording, len(side.stretches.data.recordings) + test.stretches.recording]
     numbers, sums = _numbers(side.library, fit.point)
     point = fit.point.moved(step.values, step.calibration)
@@ -107,7 +108,7 @@ def _with_held_out(test: ForceSide, fit: Fitted) -> Fitted:
     own = again(test, own, variances)
     both = (fit.whitened, own.whitened)
     gram, logs = (np.concatenate([getattr(w, name) for w in both]) for name in ("gram", "log_determinant"))
-    return replace(fit, whitened=Filtered(gram, logs, fit.whitened.count))
+    return fit.with_whitened(Filtered(gram, logs, fit.whitened.count))
 
 
 def _updated(fit: Fitted, variances: Variances) -> Variances:

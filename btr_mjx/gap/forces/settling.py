@@ -1,0 +1,164 @@
+"""Numbers and variances at which the likelihood is largest; a search that is resumed reads them."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from btr_mjx.gap.forces.evidence import LeastSquares, least_squares
+from btr_mjx.gap.forces.kalman_filter import Variances, smoothed
+from btr_mjx.gap.forces.points import (
+    Fitted,
+    ForceSide,
+    Place,
+    Point,
+    again,
+    evaluate_places,
+    evaluate_point,
+    moved_states,
+    numbers_of,
+    with_numbers,
+)
+from btr_mjx.gap.forces.stretches import Stretches
+from btr_mjx.gap.simulate import Counter
+
+_SETTLED = 1.0
+"""Fall of -2 ln p below which steps end early."""
+
+_SHORTEST = 0.1
+"""Part of a Gauss-Newton step that is tried at least."""
+
+ROUNDS = 20
+"""Rounds of steps of numbers and of variances, at most. Hypotheses are compared by likelihoods that have to be settled:
+a believed model that is 100 away from its best lacks what another one is given."""
+
+_FRESH = 3
+"""Steps with derivatives of their own; in later ones numbers move by little."""
+
+_UPDATES = 4
+"""Updates of variances in a round."""
+
+
+def newton_step(side: ForceSide, fit: Fitted) -> LeastSquares:
+    """The Gauss-Newton step from a fitted point."""
+    p, n = fit.point.numbers, len(side.library.calibrated)
+    design = np.zeros((p + n, n))
+    design[p + np.arange(n), np.arange(n)] = 1.0
+    calibration = replace(side.library.calibration, design=design, at=fit.point.calibration)
+    free = np.zeros((p + n, p))
+    free[np.arange(p), np.arange(p)] = 1.0
+    values = np.array([v for _, own in fit.point.named for v in own])
+    parameters = [own for candidate, _ in fit.point.named for own in candidate.parameters]
+    low = np.array([own.low for own in parameters]) - values
+    high = np.array([own.high for own in parameters]) - values
+    return least_squares(fit.whitened.gram.sum(0), free, calibration, low, high)
+
+
+def settled(side: ForceSide, point: Point, variances: Variances, about: Stretches | None = None) -> Fitted:
+    """A point with numbers and variances at which the likelihood is largest.
+
+    Steps of the numbers and of the variances take turns: random forces start large, where the fit is nearly linear, and
+    fall as the numbers come right.
+
+    Args:
+      side: the recordings to fit.
+      point: where to start.
+      variances: with which to start.
+      about: states to start from; None for those of the side.
+
+    Returns:
+      The fitted point, as it was where its likelihood is nothing.
+    """
+    library = side.library
+    calibrated = [(own.candidate.name, library.numbers[own.columns[0][0]].step) for own in library.calibrated]
+    named = [(candidate.name, candidate.parameters, values) for candidate, values in point.named]
+    start = (point.base, named, point.calibration, calibrated, library.calibration, variances)
+    found: list[Fitted] = []
+
+    def record() -> dict[str, np.ndarray]:
+        found.append(_settled(side, point, variances, about))
+        return record_of(found[0])
+
+    known = side.counter.remembered(("settled", start, about or side.stretches), record)
+    return found[0] if found else fit_of(side, point, known)
+
+
+def _settled(side: ForceSide, point: Point, variances: Variances, about: Stretches | None) -> Fitted:
+    fit = evaluate_point(side, point, variances, stretches=about)
+    if np.isinf(fit.loss):
+        return fit
+    stuck, taken = False, 0
+    for _ in range(ROUNDS):
+        before, updated = fit.loss, fit.variances
+        for _ in range(_UPDATES):
+            updated = smoothed(fit.linear, np.zeros_like(fit.linear.defect), updated).variances
+        fit = again(side, fit, updated)
+        # A step that failed is tried again when variances have settled, which costs no simulation.
+        if not stuck or before - fit.loss < _SETTLED:
+            after = _stepped(side, fit, fresh=taken < _FRESH)
+            stuck, fit, taken = after is fit, after, taken + 1
+        if before - fit.loss < _SETTLED:
+            break
+    return fit
+
+
+def _stepped(side: ForceSide, fit: Fitted, fresh: bool) -> Fitted:
+    """The point behind the longest part of a Gauss-Newton step that does not lose; the same one where every part does.
+
+    Args:
+      side: the recordings to fit.
+      fit: where to start.
+      fresh: whether derivatives are computed there anew.
+    """
+    step, size, own = newton_step(side, fit), 1.0, fit.point.calibration
+    change = np.concatenate([step.values, step.calibration - own])
+    while size > _SHORTEST:
+        # Dry friction turns round within a sample: around states that are smoothed without it, it would be late.
+        states = smoothed(fit.linear, size * fit.columns @ change, fit.variances).state
+        trial = fit.point.moved(size * step.values, own + size * (step.calibration - own))
+        for about in (moved_states(fit.stretches, states), fit.stretches):
+            # Derivatives cost ten times what a step does that is tried and not taken.
+            after = evaluate_point(side, trial, fit.variances, fit, about)
+            if fresh and after.loss < fit.loss + 1.0:
+                after = evaluate_point(side, trial, fit.variances, fit, about, fresh=True)
+            if after.loss < fit.loss + 1.0:
+                return after
+        size *= 0.2
+    return fit
+
+
+def record_of(fit: Fitted) -> dict[str, np.ndarray]:
+    """What `fit_of` needs: numbers and states of its places, variances and loss, a thousandth of its derivatives."""
+    weight = fit.variances.weight
+    return {
+        "numbers": np.stack([numbers_of(point) for point, _ in fit.places]),
+        "qpos": np.stack([own.qpos for _, own in fit.places]),
+        "qvel": np.stack([own.qvel for _, own in fit.places]),
+        "sensor": fit.variances.sensor,
+        "jitter": np.array(fit.variances.jitter),
+        "force": fit.variances.force,
+        "weight": np.zeros((0,)) if weight is None else weight,
+        "loss": np.array(fit.loss),
+    }
+
+
+def fit_of(side: ForceSide, start: Point, record: Mapping[str, np.ndarray]) -> Fitted:
+    """The fit of which `record_of` was made, bit for bit.
+
+    Args:
+      side: as it was.
+      start: point with the same names.
+      record: of the fit.
+    """
+
+    def place(numbers: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> Place:
+        return with_numbers(start, numbers), side.stretches.about(qpos, qvel)
+
+    first, second, third = map(place, record["numbers"], record["qpos"], record["qvel"])
+    weight = record["weight"] if record["weight"].size else None
+    variances = Variances(record["sensor"], float(record["jitter"]), record["force"], weight)
+    uncounted = replace(side, counter=Counter())  # its steps are those of the record
+    places = (first, second, third)
+    parts = cache(lambda: evaluate_places(uncounted, places, variances).parts())
+    return Fitted(third[0], variances, float(record["loss"]), parts, places)
