@@ -246,18 +246,18 @@ def test_a_killed_search_goes_on(
     assert len(saved) > 5
     err = capsys.readouterr().err
     assert re.search(r"k steps, .*steps/s", err)
-    kept: list[int] = []
+    kept: list[bool] = []
 
     def watched(path: Path, report: Callable[[int], None], code: bytes, expect: Callable[[float], None]) -> Journal:
         def count(done: int) -> None:
             report(done)
-            kept.append(sum(p.stat().st_mtime_ns == t for p, t in saved.items()))
+            kept.append(all(p.stat().st_mtime_ns == t for p, t in saved.items() if p.exists()))
 
         return journal(path, count, code, expect)
 
     monkeypatch.setattr("btr_mjx.gap.simulate.following.Journal", watched)
     diagnose.main([*argv, "--out", str(run), "--no-progress", "--resume"])
-    assert set(kept) == {len(saved)}  # no answer was written again
+    assert all(kept)  # no answer was written again
     assert len(kept) > len(saved)
     assert not (run / "search").exists()
     results = [json.loads((tmp_path / name / "result.json").read_text()) for name in ("whole", "run")]
