@@ -77,7 +77,7 @@ class Point:
         return replace(self, named=tuple(named), calibration=calibration)
 
 
-Place = tuple[Point, Stretches]
+Expansion = tuple[Point, Stretches]
 """A point, and states around which the motion is linearised there."""
 
 
@@ -98,7 +98,7 @@ class Fitted:
     variances: Variances
     loss: float
     parts: Callable[[], tuple[Linearised, np.ndarray, Filtered]]
-    places: tuple[Place, Place, Place]
+    places: tuple[Expansion, Expansion, Expansion]
 
     @property
     def linear(self) -> Linearised:
@@ -158,7 +158,7 @@ def evaluate_point(
     return _whitened(linear, columns, variances, side, (first, here, here))
 
 
-def evaluate_places(side: ForceSide, places: tuple[Place, Place, Place], variances: Variances) -> Fitted:
+def evaluate_places(side: ForceSide, places: tuple[Expansion, Expansion, Expansion], variances: Variances) -> Fitted:
     """Linearise and filter the last of three places, with derivatives that were computed at the others.
 
     Args:
@@ -179,7 +179,11 @@ def again(side: ForceSide, fit: Fitted, variances: Variances) -> Fitted:
 
 
 def _whitened(
-    linear: Linearised, columns: np.ndarray, variances: Variances, side: ForceSide, places: tuple[Place, Place, Place]
+    linear: Linearised,
+    columns: np.ndarray,
+    variances: Variances,
+    side: ForceSide,
+    places: tuple[Expansion, Expansion, Expansion],
 ) -> Fitted:
     point = places[-1][0]
     try:

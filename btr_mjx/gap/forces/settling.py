@@ -9,9 +9,9 @@ import numpy as np
 from btr_mjx.gap.forces.evidence import LeastSquares, least_squares
 from btr_mjx.gap.forces.kalman_filter import Variances, smoothed
 from btr_mjx.gap.forces.points import (
+    Expansion,
     Fitted,
     ForceSide,
-    Place,
     Point,
     again,
     evaluate_places,
@@ -152,7 +152,7 @@ def fit_of(side: ForceSide, start: Point, record: Mapping[str, np.ndarray]) -> F
       record: of the fit.
     """
 
-    def place(numbers: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> Place:
+    def place(numbers: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> Expansion:
         return with_numbers(start, numbers), side.stretches.about(qpos, qvel)
 
     first, second, third = map(place, record["numbers"], record["qpos"], record["qvel"])
