@@ -8,7 +8,7 @@ import numpy as np
 from common import Config
 from units import Step
 
-from btr_mjx.evaluation import DISTANCE, EngineSettings, evaluate, fitness_at_marks
+from btr_mjx.evaluation import FITNESS_FUNCTIONS, EngineSettings, evaluate, fitness_at_marks
 from btr_mjx.robots import Robot, hexapod
 
 
@@ -64,4 +64,6 @@ class Bench:
             settings=settings or EngineSettings(),
             progress=lambda pairs: self.step(pairs * share),
         )
-        return np.where(evaluation.diverged[..., None], np.nan, fitness_at_marks(evaluation.outcome, DISTANCE))
+        return np.where(
+            evaluation.diverged[..., None], np.nan, fitness_at_marks(evaluation.outcome, FITNESS_FUNCTIONS["distance"])
+        )

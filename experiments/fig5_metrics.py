@@ -33,7 +33,7 @@ from units import Arrays, Journal, Step, Unit, load, run_units
 from btr_mjx import scan
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import (
-    DISTANCE,
+    FITNESS_FUNCTIONS,
     Outcome,
     delta_of,
     evaluate,
@@ -128,7 +128,7 @@ def work(config: Fig5Config, longer: int, seed: int, step: Step, journal: Journa
     rolling = [metrics.rolling_mean_metric(series[0], row, headers, window, scale) for row in series[1:]]
     euclidean = [metrics.euclidean_metric(series[0], row, scale=scale) for row in series[1:]]
     at = np.append(np.searchsorted(times[:-1], np.array(config.mark_times) - 1e-9), config.samples - 1)
-    fitness = fitness_at_marks(trials.outcome, DISTANCE)[..., at]
+    fitness = fitness_at_marks(trials.outcome, FITNESS_FUNCTIONS["distance"])[..., at]
     fitness = np.where(trials.diverged[..., None], np.nan, fitness)
     return {
         "grid": grid,

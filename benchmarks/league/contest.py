@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 import btr_mjx as btr
 from btr_mjx.backtoreality import FolderReality, Waiting
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import Engine, fitness_function
+from btr_mjx.evaluation import Engine, fitness_of
 from btr_mjx.gap.data import Recording
 from btr_mjx.optimise import GAConfig, GeneticAlgorithm
 from btr_mjx.robots import Robot
@@ -77,7 +77,7 @@ class Room:
     def desk(self) -> FolderReality:
         """The project's own side of the folder."""
         robot = league_robot(self.reality)
-        return FolderReality(robot, self.folder, fitness_function(robot.fitness, robot.target))
+        return FolderReality(robot, self.folder, fitness_of(robot))
 
     def measure(self, controllers: ArrayLike, trial: int, times: tuple[float, ...] = ()) -> np.ndarray:
         """Fitness of controllers (m, n_c), see `btr_mjx.backtoreality.Reality`; (m, 1) without times.
@@ -218,7 +218,7 @@ def evolved(
     Returns:
       (g, M, bits) genomes and (g, M) their fitness.
     """
-    maximise = fitness_function(robot.fitness, robot.target).maximise
+    maximise = fitness_of(robot).maximise
     algorithm = GeneticAlgorithm(coded(robot), GAConfig(maximise=maximise, population=budget.controllers))
     state = algorithm.init(np.random.default_rng(seed), genome=genome)
     genomes, scores = [], []
@@ -237,5 +237,5 @@ def coded(robot: Robot) -> btr.Box:
 
 def best_index(robot: Robot, fitness: np.ndarray) -> int:
     """Index of the best finite fitness."""
-    maximise = fitness_function(robot.fitness, robot.target).maximise
+    maximise = fitness_of(robot).maximise
     return int(np.nanargmax(fitness) if maximise else np.nanargmin(fitness))

@@ -14,7 +14,7 @@ from contest import Answer, Task, best_index, coded, engine_of, evolved
 import btr_mjx as btr
 from btr_mjx.backtoreality import CoevolveConfig, begin, build_problem, grown, select_transferable
 from btr_mjx.backtoreality.algorithm import advance
-from btr_mjx.evaluation import fitness_function
+from btr_mjx.evaluation import fitness_of
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.models import base_model
 from btr_mjx.optimise import cma_es
@@ -63,7 +63,7 @@ def _tried_once(task: Task, robot: Robot, simulations: np.ndarray) -> Answer:
     """Evolve controllers for the mean of simulations (L, n_s), and try the best of them."""
     generations = task.budget.generations * task.budget.rounds
     genomes, scores = evolved(robot, simulations, task.budget, generations, [task.seed, 1])
-    maximise = fitness_function(robot.fitness, robot.target).maximise
+    maximise = fitness_of(robot).maximise
     chosen, _ = select_transferable(genomes, scores, task.trials, maximise)
     task.reality.measure(coded(robot).decode(chosen), 0)
     return _handed_in(task, robot, simulations)
@@ -91,7 +91,7 @@ def least_squares(task: Task) -> Answer:
     """System identification: unknown numbers and the fixed list are fitted to recordings, then controllers evolved."""
     robot, budget, share = _listed(task), task.budget, task.trials // task.budget.rounds
     simulation, genome = robot.nominal_simulation, None
-    maximise = fitness_function(robot.fitness, robot.target).maximise
+    maximise = fitness_of(robot).maximise
     for i in range(budget.rounds):
         genomes, scores = evolved(robot, simulation[None], budget, budget.generations, [task.seed, 3, i], genome)
         chosen, _ = select_transferable(genomes, scores, share, maximise)
@@ -172,7 +172,7 @@ def back_to_reality(
 def no_simulator(task: Task) -> Answer:
     """CMA-ES on the real robot."""
     box, population = task.robot.controller_box, max(4, task.trials // 5)
-    maximise = fitness_function(task.robot.fitness, task.robot.target).maximise
+    maximise = fitness_of(task.robot).maximise
     strategy = cma_es.restored(np.full(box.n, 0.5), np.zeros((0, population, box.n)), np.zeros((0, population)),
                                population=population, sigma=0.25)  # fmt: skip
     for i in range(task.trials // population):

@@ -10,7 +10,7 @@ from btr_mjx.backtoreality.settings import SearchSettings
 from btr_mjx.backtoreality.simulation_search import genetic_algorithm
 from btr_mjx.backtoreality.told_words import told_by_plan
 from btr_mjx.backtoreality.trial_information import informative, told_by_trials
-from btr_mjx.evaluation import DISTANCE, Engine, FitnessLike, evaluate, fitness_function
+from btr_mjx.evaluation import Engine, FitnessLike, evaluate, fitness_of
 from btr_mjx.optimise import GAState, GeneticAlgorithm
 from btr_mjx.robots import Robot
 
@@ -60,7 +60,7 @@ def evolve_controllers(
     *,
     seed: int,
     genome: np.ndarray | None = None,
-    fitness: FitnessLike = DISTANCE,
+    fitness: FitnessLike | None = None,
     engine: Engine | None = None,
     progress: Progress | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -79,7 +79,7 @@ def evolve_controllers(
     Returns:
       (g, M, bits) all generations in order and (g, M) their fitness; see `select_transferable`.
     """
-    fitness = fitness_function(fitness, robot.target)
+    fitness = fitness_of(robot, fitness)
     box = robot.controller_box.with_bits(settings.bits)
     algorithm = genetic_algorithm(box, settings, fitness.maximise)
     rng = np.random.default_rng([seed, 0, 1])

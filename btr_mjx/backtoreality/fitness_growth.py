@@ -267,7 +267,8 @@ def _scales(problem: Problem, simulation: np.ndarray, controllers: np.ndarray) -
     """Scales of torques, speeds and travel in some trials of the simulation."""
     robot = problem.robot
     times = np.linspace(0, robot.duration, 101)[1:]
-    out = evaluate(robot, simulation, controllers, engine="native", times=times, states=True).outcome
+    how: dict[str, Any] = {"engine": "native", "fitness": problem.fitness, "times": times, "states": True}
+    out = evaluate(robot, simulation, controllers, **how).outcome
     assert out.qpos is not None
     assert out.qvel is not None
     columns = np.ascontiguousarray(controllers.T)

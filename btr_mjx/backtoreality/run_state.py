@@ -8,7 +8,7 @@ import numpy as np
 
 from btr_mjx.backtoreality.reality.simulated import Reality
 from btr_mjx.backtoreality.settings import BTRSettings
-from btr_mjx.evaluation import DISTANCE, Engine, FitnessFunction, evaluate
+from btr_mjx.evaluation import Engine, FitnessFunction, evaluate
 from btr_mjx.optimise import GAState, ga_state_from_arrays, ga_state_to_arrays
 from btr_mjx.robots import Box, Robot
 
@@ -43,7 +43,7 @@ class Problem:
     unknown: tuple[str, ...]
     start: np.ndarray
     settings: BTRSettings
-    fitness: FitnessFunction = DISTANCE
+    fitness: FitnessFunction
     engine: Engine | None = None
     seed: int = 0
     progress: Progress | None = None

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import MARKS, Engine, FitnessFunction, fitness_function
+from btr_mjx.evaluation import MARKS, Engine, FitnessFunction, fitness_of
 from btr_mjx.models import check_robot
 from btr_mjx.robots import Robot
 
@@ -37,8 +37,8 @@ class RunSettings:
     """Another MJCF template of the hexapod, with the same parameters and motors."""
 
     def fitness_of(self, robot: Robot) -> FitnessFunction:
-        """The fitness function, see `fitness_function`."""
-        return fitness_function(self.fitness or robot.fitness, robot.target)
+        """The fitness function, see `fitness_function`; by default the robot's own."""
+        return fitness_of(robot, self.fitness)
 
     @property
     def engine_or_none(self) -> Engine | None:

@@ -24,7 +24,6 @@ from btr_mjx.cluster.connection import check_cluster, connect
 from btr_mjx.cluster.mapping import map_tasks
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.evaluation import (
-    DISTANCE,
     Engine,
     EngineSettings,
     FitnessFunction,
@@ -32,7 +31,7 @@ from btr_mjx.evaluation import (
     checked_pairs,
     evaluate,
     fastest_engine,
-    fitness_function,
+    fitness_of,
 )
 from btr_mjx.models import robot_digest
 from btr_mjx.robots import Robot
@@ -110,7 +109,7 @@ def evaluate_blocks(
     controllers: ArrayLike,
     *,
     engine: Engine | None = None,
-    fitness: FitnessLike = DISTANCE,
+    fitness: FitnessLike | None = None,
     settings: EngineSettings | None = None,
     blocks: BlockSettings = BlockSettings(),
     progress: Callable[[int], object] | None = None,
@@ -121,7 +120,7 @@ def evaluate_blocks(
       The table, equal to that of `evaluate` to the bit; it takes 13 bytes per pair.
     """
     s, c = checked_pairs(robot, simulations, controllers)
-    fitness = fitness_function(fitness, robot.target)
+    fitness = fitness_of(robot, fitness)
     chunk, shape = settings.chunk if settings else None, (len(s), len(c))
     engine = engine or fastest_engine(robot, states=fitness.needs_states, chunk=chunk)
     table = PairTable(np.empty(shape), np.empty(shape, bool), np.empty(shape, np.int32), engine)
@@ -139,7 +138,7 @@ def iterate_blocks(
     controllers: ArrayLike,
     *,
     engine: Engine | None = None,
-    fitness: FitnessLike = DISTANCE,
+    fitness: FitnessLike | None = None,
     settings: EngineSettings | None = None,
     blocks: BlockSettings = BlockSettings(),
     progress: Callable[[int], object] | None = None,
@@ -168,7 +167,7 @@ def iterate_blocks(
 
     s, c = checked_pairs(robot, simulations, controllers)
     how = settings or EngineSettings()
-    fitness = fitness_function(fitness, robot.target)
+    fitness = fitness_of(robot, fitness)
     chosen = engine or fastest_engine(robot, states=fitness.needs_states, chunk=how.chunk)
     compute = partial(_compute, robot, chosen, fitness, how)
     # Threads do not change results, so that they may differ on resume.

@@ -4,7 +4,6 @@ from .engine_choice import Engine, EngineSettings
 from .evaluation import Evaluation, checked_pairs, evaluate
 from .fastest import EngineChoice, choose_engine, fastest_engine
 from .fitness import (
-    DISTANCE,
     FITNESS_FUNCTIONS,
     FitnessFunction,
     FitnessLike,
@@ -12,13 +11,13 @@ from .fitness import (
     delta_fitness_of,
     delta_of,
     fitness_function,
+    fitness_of,
     learning_performance,
 )
 from .pair_functions import Trajectory, model_leaves, pair_fitness, pair_trajectory
 from .tracked_point import track_configurations
 
 __all__ = [
-    "DISTANCE",
     "FITNESS_FUNCTIONS",
     "MARKS",
     "Engine",
@@ -37,6 +36,7 @@ __all__ = [
     "fastest_engine",
     "fitness_at_marks",
     "fitness_function",
+    "fitness_of",
     "learning_performance",
     "metrics",
     "model_leaves",

@@ -17,7 +17,7 @@ from btr_mjx.engines import Record
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation.engine_choice import Engine, EngineSettings, run_pairs
 from btr_mjx.evaluation.fastest import fastest_engine
-from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, FitnessLike, Outcome, fitness_function
+from btr_mjx.evaluation.fitness import FitnessFunction, FitnessLike, Outcome, fitness_of
 from btr_mjx.models import base_model
 from btr_mjx.robots import Robot
 
@@ -53,7 +53,7 @@ def evaluate(
     *,
     pairwise: bool = False,
     engine: Engine | None = None,
-    fitness: FitnessLike = DISTANCE,
+    fitness: FitnessLike | None = None,
     times: ArrayLike | None = None,
     states: bool = False,
     settings: EngineSettings | None = None,
@@ -69,7 +69,7 @@ def evaluate(
       engine: "lanes", "mjx" or "native"; None for the one that is measured to be the fastest for this robot, see
         `choose_engine`. Pairs in which a contact may take part that "lanes" does not compute are evaluated by native
         MuJoCo, see `Evaluation.tripped`.
-      fitness: a fitness function, or its name as in a robot.toml, see `fitness_function`.
+      fitness: a fitness function, or its name as in a robot.toml, see `fitness_function`; None for the robot's own.
       times: (K,) sample times in (0, T_e] [s] for the outcome, rounded to steps; None for the end alone. The last one
         ends the trial.
       states: whether the outcome holds qpos, qvel and act at the sample times.
@@ -85,7 +85,7 @@ def evaluate(
       UnsupportedModel: the given engine does not support this robot.
     """
     Robot.expect(robot)
-    fitness, settings = fitness_function(fitness, robot.target), settings or EngineSettings()
+    fitness, settings = fitness_of(robot, fitness), settings or EngineSettings()
     s, c = checked_pairs(robot, simulations, controllers)
     if pairwise and len(s) != len(c):
         raise InputError(f"pairwise: got {len(s)} simulations and {len(c)} controllers, expected as many of each")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from btr_mjx.errors import InputError
+from btr_mjx.robots import Robot
 from btr_mjx.runs import load_object
 
 
@@ -93,10 +94,6 @@ FITNESS_FUNCTIONS: dict[str, FitnessFunction] = {
 }
 """The built-in fitness functions by name."""
 
-DISTANCE = FITNESS_FUNCTIONS["distance"]
-"""The fitness function of the paper: horizontal distance / T_e [m/s]."""
-
-
 FitnessLike = FitnessFunction | Callable[[Outcome], np.ndarray] | str
 """A fitness as it may be given, see `fitness_function`."""
 
@@ -128,6 +125,19 @@ def fitness_function(fitness: FitnessLike, target: Sequence[float] = ()) -> Fitn
         known = ", ".join([*FITNESS_FUNCTIONS, "target_distance", "FILE.py:NAME"])
         raise InputError(f"fitness: got {name!r}, expected one of: {known}")
     return FITNESS_FUNCTIONS[name]
+
+
+def fitness_of(robot: Robot, fitness: FitnessLike | None = None) -> FitnessFunction:
+    """The fitness function of a robot, or another one that refers to its target.
+
+    Args:
+      robot: the robot.
+      fitness: see `fitness_function`; None for the robot's own.
+
+    Raises:
+      InputError: see `fitness_function`.
+    """
+    return fitness_function(robot.fitness if fitness is None else fitness, robot.target)
 
 
 def _of_callable(own: Any, name: str) -> FitnessFunction:

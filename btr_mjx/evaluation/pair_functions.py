@@ -37,7 +37,7 @@ from btr_mjx.engines import (
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation.engine_choice import Engine, stepper_of
 from btr_mjx.evaluation.evaluation import sample_steps
-from btr_mjx.evaluation.fitness import DISTANCE, FitnessFunction, Outcome
+from btr_mjx.evaluation.fitness import FitnessLike, Outcome, fitness_of
 from btr_mjx.evaluation.rowwise import rowwise
 from btr_mjx.evaluation.traced import TracedArray, in_double
 from btr_mjx.models import base_address, base_model, compile_models, start_of
@@ -87,7 +87,7 @@ def pair_fitness(
     robot: Robot,
     engine: Engine | None = None,
     *,
-    fitness: FitnessFunction = DISTANCE,
+    fitness: FitnessLike | None = None,
     steps: int | None = None,
     chunk: int | None = None,
     devices: Sequence[jax.Device] | None = None,
@@ -97,7 +97,7 @@ def pair_fitness(
     Args:
       robot: the robot.
       engine: "lanes" or "mjx"; None for lanes where it supports this robot, else mjx.
-      fitness: the fitness function; its NumPy or `jax.numpy` code is traced.
+      fitness: as of `evaluate`; its NumPy or `jax.numpy` code is traced.
       steps: length of the trial in steps; None for the robot's duration.
       chunk: number of pairs that are stepped together; None for 64 on a CPU, more on an accelerator. Results are
         bit-identical for a fixed chunk size only.
@@ -110,25 +110,33 @@ def pair_fitness(
       chunk is computed even for a single pair, so map over all pairs at once.
 
     Raises:
-      InputError: the native engine, an unknown one, or a number of steps below 1.
+      InputError: the native engine, an unknown one, a number of steps below 1, or a robot with a point or a
+        simulator of its own, which only `evaluate` follows.
       UnsupportedModel: the given engine does not support this robot.
     """
+    Robot.expect(robot)
+    if robot.point or robot.simulator is not None:
+        what = f"the position of its point {robot.point!r}" if robot.point else "a simulator of its own"
+        raise InputError(f"pair_fitness: the fitness of {robot.name} is of {what}, outside JAX; use evaluate()")
+    own = fitness_of(robot, fitness)
     samples = _samples(robot, robot.duration if steps is None else steps * _timestep(robot))
 
     def kernel(leaves: ModelLeaves, controllers: jax.Array, *, roll: Callable[..., Record]) -> jax.Array:
         record, dtype = roll(leaves, controllers), jnp.result_type(float)
 
         def value(*numbers: jax.Array) -> jax.Array:
-            start, position, energy, peak = (_batch_first(x).astype(np.float64) for x in numbers)
-            traced: Any = map(TracedArray, (start, position, energy))
+            peak, start, position, energy, *states = (_batch_first(x).astype(np.float64) for x in numbers)
+            traced: Any = map(TracedArray, (start, position, energy, *states))
             outcome = Outcome(samples * _timestep(robot), *traced)
             finite = jnp.isfinite(position).all((-2, -1)) & jnp.isfinite(energy).all(-1)
             fine = finite & (peak <= robot.speed_limit)  # a comparison that NaN fails
-            return jnp.where(fine, jnp.asarray(fitness(outcome)), jnp.nan).astype(dtype)
+            return jnp.where(fine, jnp.asarray(own(outcome)), jnp.nan).astype(dtype)
 
-        return in_double(value)(record.start, record.position, record.energy, lax.stop_gradient(record.peak_speed))
+        states = (record.qpos, record.qvel, record.act) if own.needs_states else ()
+        peak = lax.stop_gradient(record.peak_speed)
+        return in_double(value)(peak, record.start, record.position, record.energy, *states)
 
-    return _one_pair(robot, engine, samples, False, chunk, devices, kernel)
+    return _one_pair(robot, engine, samples, own.needs_states, chunk, devices, kernel)
 
 
 def pair_trajectory(

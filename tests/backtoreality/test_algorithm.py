@@ -18,7 +18,7 @@ from btr_mjx.backtoreality import algorithm as btr
 from btr_mjx.backtoreality.run_state import Trials, state_from_arrays, state_to_arrays
 from btr_mjx.backtoreality.simulation_search import delta_of_simulations
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import FITNESS_FUNCTIONS, evaluate, multiscale_fitness
+from btr_mjx.evaluation import FITNESS_FUNCTIONS, evaluate, fitness_of, multiscale_fitness
 from btr_mjx.robots import Robot
 
 SETTINGS = BTRSettings(
@@ -48,7 +48,8 @@ def problem(robot: Robot) -> Problem:
     truth = robot.nominal_simulation
     truth[[2, 11]] = 0.88, 1.6
     reality = Counting(SimulatedReality(robot, tuple(truth.tolist()), "native"))
-    return Problem(robot, reality, ("bl_5", "bl_14"), robot.nominal_simulation, SETTINGS, engine="native", seed=3)
+    start = robot.nominal_simulation
+    return Problem(robot, reality, ("bl_5", "bl_14"), start, SETTINGS, fitness_of(robot), engine="native", seed=3)
 
 
 def run(problem: Problem) -> tuple[State, dict[str, list[dict]]]:

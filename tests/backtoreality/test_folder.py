@@ -21,7 +21,7 @@ from btr_mjx.backtoreality import PRESETS, FolderReality, SimulatedReality, Wait
 from btr_mjx.backtoreality.given_settings import flags_of
 from btr_mjx.backtoreality.reality.instructions import command_kinds, instructions
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import evaluate, fitness_function
+from btr_mjx.evaluation import evaluate, fitness_function, fitness_of
 from btr_mjx.gap.data import control_columns
 from btr_mjx.gap.data.writing import recording_columns
 from btr_mjx.models import base_model, load_robot
@@ -29,7 +29,7 @@ from btr_mjx.robots import hexapod
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ROBOT = load_robot(EXAMPLES / "thrower")
-FITNESS = fitness_function(ROBOT.fitness, ROBOT.target)
+FITNESS = fitness_of(ROBOT)
 TIMES = (ROBOT.duration,)
 
 
@@ -285,7 +285,7 @@ def test_missing_rows_are_asked_for_again(uninterrupted: dict, tmp_path: Path, c
 def test_trials_with_an_imu_and_no_pose_are_recordings_without_fitness(tmp_path: Path) -> None:
     """Where a walking robot went is not in its IMU; how its base moved is estimated."""
     robot = load_robot(EXAMPLES / "quadruped")
-    walker = FolderReality(robot, tmp_path, fitness_function(robot.fitness, robot.target))
+    walker = FolderReality(robot, tmp_path, fitness_of(robot))
     tried = robot.controller_box.sample(np.random.default_rng(0), 1)
     (true,) = SimulatedReality(robot, tuple(robot.nominal)).record(tried, [0])
     columns = recording_columns(true)

@@ -11,7 +11,7 @@ from small_robots import hopper
 from btr_mjx.cluster import BlockSettings, evaluate_blocks, iterate_blocks
 from btr_mjx.cluster.blocks import tiles
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import DISTANCE, EngineSettings, FitnessFunction, evaluate
+from btr_mjx.evaluation import FITNESS_FUNCTIONS, EngineSettings, FitnessFunction, evaluate
 from btr_mjx.robots import Robot
 
 
@@ -64,7 +64,7 @@ def counted() -> tuple[FitnessFunction, list[int]]:
     calls: list[int] = []
 
     def function(outcome):
-        values = DISTANCE(outcome)
+        values = FITNESS_FUNCTIONS["distance"](outcome)
         calls.append(values.size)
         return values
 

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import DISTANCE, evaluate, fitness_at_marks, multiscale_fitness
+from btr_mjx.evaluation import FITNESS_FUNCTIONS, evaluate, fitness_at_marks, multiscale_fitness
 from btr_mjx.robots import Robot
 
 
@@ -47,7 +47,7 @@ def test_fitness_at_marks_is_that_of_shorter_trials(robot: Robot, rng: np.random
     c = robot.controller_box.sample(rng, 3)
     times = [0.01, 0.02, 0.03]
     whole = evaluate(robot, [robot.nominal], c, engine="native", times=times)
-    marks = fitness_at_marks(whole.outcome, DISTANCE)
+    marks = fitness_at_marks(whole.outcome, FITNESS_FUNCTIONS["distance"])
     for k, time in enumerate(times):
         alone = evaluate(robot, [robot.nominal], c, engine="native", times=[time])
         np.testing.assert_array_equal(marks[..., k], alone.fitness)

@@ -8,7 +8,7 @@ import pytest
 
 import btr_mjx as btr
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import fitness_function
+from btr_mjx.evaluation import fitness_function, fitness_of
 from btr_mjx.models import base_model, compile_models, load_robot
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -142,7 +142,7 @@ def test_the_hand_of_an_arm_is_followed() -> None:
     """Against forward kinematics of the recorded configuration."""
     robot = load_robot(EXAMPLES / "thrower")
     controller = robot.controller_box.sample(np.random.default_rng(0))
-    fitness = fitness_function(robot.fitness, robot.target)
+    fitness = fitness_of(robot)
     found = btr.evaluate(robot, robot.nominal, controller, fitness=fitness, engine="native")
     model = base_model(robot)
     data = mujoco.MjData(model)

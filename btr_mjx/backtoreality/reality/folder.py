@@ -31,7 +31,7 @@ from btr_mjx.backtoreality.reality.measurements import (
     read_table_of_fitness,
 )
 from btr_mjx.errors import DamagedFile, InputError
-from btr_mjx.evaluation import DISTANCE, FitnessFunction
+from btr_mjx.evaluation import FitnessFunction, FitnessLike, fitness_of
 from btr_mjx.gap.data import Recording, make_recording, read_columns, with_bases
 from btr_mjx.models import base_model, part_names
 from btr_mjx.robots import Robot
@@ -65,14 +65,14 @@ class FolderReality:
     Attributes:
       robot: the robot, whose signal is sampled for the trials.
       folder: the exchange folder.
-      fitness: the fitness function, of recordings.
+      fitness: of recordings, see `evaluate`.
       rate: samples per second of the reference signals.
       rounds: how the run goes on, for the instructions.
     """
 
     robot: Robot
     folder: Path
-    fitness: FitnessFunction = DISTANCE
+    fitness: FitnessLike | None = None
     rate: float = 200.0
     rounds: Rounds = field(default_factory=Rounds)
 
@@ -115,6 +115,10 @@ class FolderReality:
         found = [make_recording(read_columns(path), model, str(path), path.stem) for path in files if path is not None]
         return with_bases([found], [])[0]
 
+    @property
+    def _function(self) -> FitnessFunction:
+        return fitness_of(self.robot, self.fitness)
+
     def _recording(self, trial: int) -> Path | None:
         """The recording of a trial, if there is one."""
         names = (self.folder / "measured" / f"trial-{trial}{suffix}" for suffix in RECORDING_SUFFIXES)
@@ -153,7 +157,7 @@ class FolderReality:
             rows = [[f"{t:.6g}", *(f"{v:.9g}" for v in row)] for t, row in zip(time, values, strict=True)]
             signal = _table(["time", *(f"ctrl/{motor}" for motor in names)], rows)
             _write(self.folder / "signals" / f"trial-{i}.csv", signal)
-        _write(self.folder / "README.md", instructions(self.robot, self.fitness, self.rate, self.rounds).encode())
+        _write(self.folder / "README.md", instructions(self.robot, self._function, self.rate, self.rounds).encode())
         (self.folder / "measured").mkdir(parents=True, exist_ok=True)
         _write(path, table)  # last: a batch is there when its table is
 
@@ -161,14 +165,14 @@ class FolderReality:
         """What has been measured of a batch, and what could not be used."""
         folder, complaints = self.folder / "measured", list[str]()
         found: dict[int, Measured] = {}
-        speed = self.fitness.unit == "m/s"
+        speed = self._function.unit == "m/s"
         if (folder / name).is_file():
             found, complaints = read_table_of_fitness(folder / name, ids, self.robot.speed_limit if speed else None)
         for i in ids:
             path = self._recording(i)
             if path is None:
                 continue
-            measured, problem = read_recorded_fitness(path, self.robot, self.fitness, times)
+            measured, problem = read_recorded_fitness(path, self.robot, self._function, times)
             if measured is None:
                 complaints.append(problem)
             elif i in found:

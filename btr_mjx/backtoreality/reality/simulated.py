@@ -6,7 +6,7 @@ another time step and integrator, reality does not share the simulator's numeric
 """
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from btr_mjx.backtoreality.reality.imu_readings import imu_readings
 from btr_mjx.errors import InputError
-from btr_mjx.evaluation import DISTANCE, Engine, EngineSettings, FitnessFunction, evaluate, fitness_at_marks
+from btr_mjx.evaluation import Engine, EngineSettings, FitnessLike, evaluate, fitness_at_marks, fitness_of
 from btr_mjx.gap.data import Recording
 from btr_mjx.models import base_model
 from btr_mjx.robots import Robot
@@ -46,7 +46,7 @@ class SimulatedReality:
       truth: s_r, one value per parameter of S.
       engine: engine that runs it; None for the fastest.
       settings: time step, integrator, ... of that engine.
-      fitness: the fitness function.
+      fitness: see `evaluate`.
       noise: standard deviation of the relative error of a measured fitness, 0.05 = 5 %.
       seed: of the noise.
       recording_rate: samples per second of recordings.
@@ -56,7 +56,7 @@ class SimulatedReality:
     truth: tuple[float, ...]
     engine: Engine | None = None
     settings: EngineSettings = field(default_factory=EngineSettings)
-    fitness: FitnessFunction = DISTANCE
+    fitness: FitnessLike | None = None
     noise: float = 0.0
     seed: int = 0
     recording_rate: float = 400.0
@@ -68,16 +68,17 @@ class SimulatedReality:
 
     def measure(self, controllers: ArrayLike, trial: int = 0, times: tuple[float, ...] | None = None) -> np.ndarray:
         """Try controllers once each; see `Reality.measure`. Without times, only the end of the trial is measured."""
+        fitness = fitness_of(self.robot, self.fitness)
         trials = evaluate(
             self.robot,
             [self.truth],
             controllers,
             engine=self.engine,
-            fitness=self.fitness,
+            fitness=fitness,
             settings=self.settings,
             times=times,
         )
-        values = np.where(trials.diverged[0, :, None], np.nan, fitness_at_marks(trials.outcome, self.fitness)[0])
+        values = np.where(trials.diverged[0, :, None], np.nan, fitness_at_marks(trials.outcome, fitness)[0])
         if not self.noise:
             return values
         # One random generator per trial: the noise does not depend on how trials are grouped into calls. The noise at
@@ -102,9 +103,8 @@ class SimulatedReality:
         count = int(self.robot.duration / interval + 1e-6)
         times = interval * np.arange(1, count + 1)
         rows = np.atleast_2d(np.asarray(controllers, float))
-        found = evaluate(
-            self.robot, [self.truth], rows, engine="native", settings=self.settings, times=times, states=True
-        )
+        how: dict[str, Any] = {"engine": "native", "fitness": self.fitness, "settings": self.settings}
+        found = evaluate(self.robot, [self.truth], rows, **how, times=times, states=True)
         assert found.outcome.qpos is not None
         assert found.outcome.qvel is not None
         sigma = np.array([_SIGMA[int(model.jnt_type[j]) == 0] for j in model.dof_jntid])
