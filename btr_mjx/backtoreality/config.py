@@ -8,13 +8,21 @@ from typing import Any, Literal
 import numpy as np
 
 from btr_mjx.backtoreality.given_settings import flags_of
-from btr_mjx.backtoreality.reality import FolderReality, Reality, Rounds, SimulatedReality
+from btr_mjx.backtoreality.reality import (
+    FolderReality,
+    Reality,
+    Rounds,
+    SimulatedReality,
+    numbers_of_file,
+    robot_of_file,
+    variables,
+)
 from btr_mjx.backtoreality.run_state import Problem
 from btr_mjx.backtoreality.settings import BTRSettings, Distance, RunSettings, check_settings
 from btr_mjx.errors import InputError, resume_command
 from btr_mjx.evaluation import EngineSettings, FitnessFunction
-from btr_mjx.models import chosen_robot, compile_mjcf, load_robot, part_names
-from btr_mjx.robots import PAPER_REALITIES, Robot, hexapod, read_template
+from btr_mjx.models import chosen_robot, load_robot
+from btr_mjx.robots import PAPER_REALITIES, Robot, hexapod
 
 
 @dataclass(frozen=True)
@@ -46,7 +54,8 @@ class CoevolveConfig(RunSettings, BTRSettings):
     signal_rate: float = 200.0
     """Samples per second of the reference signals in --exchange."""
     reality_model: Path | None = None
-    """Another MJCF or template for the hidden reality, with the same joints and motors: what the simulator lacks."""
+    """Another MJCF for the hidden reality, with the same joints and motors: what the simulator lacks. Its numbers stand
+    as they are; variables of a template (.j2) have the values of --truth, or are drawn."""
     reality_engine: Literal["same", "lanes", "mjx", "native"] = "same"
     """Engine that runs the hidden reality. same: that of the searches, or native for a reality with a model of its own,
     whose few trials are done before lanes has compiled. native is float64 and shares no code with the others."""
@@ -149,6 +158,9 @@ def build_problem(config: CoevolveConfig, robot: Robot | None = None) -> Problem
     for name in given:
         if name not in unknown:
             raise InputError(f"truth {name}={given[name]}: {name} is not among the unknown ({', '.join(unknown)})")
+    real = robot if config.reality_model is None else robot_of_file(robot, config.reality_model)
+    if config.reality_model is not None:
+        _check_variables(config.reality_model, real, [setting.partition("=")[0] for setting in named])
     # Two random generators, so that giving some of the true values does not change the start of the search.
     drawn = box.sample(np.random.default_rng([config.seed, 101]))
     truth, start = robot.nominal_simulation, robot.nominal_simulation
@@ -162,14 +174,20 @@ def build_problem(config: CoevolveConfig, robot: Robot | None = None) -> Problem
         raise InputError(f"reality_timestep: got {config.reality_timestep}, expected a step within (0, 0.01] s")
     engine, fitness = config.engine_or_none, config.fitness_of(robot)
     same = engine if config.reality_model is None else "native"
+    told = None
+    if real is not robot:
+        free = variables(real)
+        truth = np.where([name in free for name in box.names], truth, robot.nominal)
+        told = numbers_of_file(robot, real, {name: float(truth[box.index(name)]) for name in free})
     reality: Reality = SimulatedReality(
-        _real_robot(robot, config.reality_model),
+        real,
         tuple(truth.tolist()),
         same if config.reality_engine == "same" else config.reality_engine,
         EngineSettings(timestep=config.reality_timestep, integrator=config.reality_integrator),
         fitness,
         config.noise,
         config.seed,
+        told=told,
     )
     if config.reality == "folder":
         reality = _folder_reality(config, robot, fitness)
@@ -185,26 +203,14 @@ def build_problem(config: CoevolveConfig, robot: Robot | None = None) -> Problem
     )
 
 
-def _real_robot(robot: Robot, model: Path | None) -> Robot:
-    """The robot of a hidden reality, with a model of its own perhaps, which has the robot's joints and motors."""
-    if model is None:
-        return robot
-    real = replace(
-        robot,
-        template=read_template(model),
-        template_path=str(model),
-        plain=model.suffix != ".j2",
-        folder=str(model.parent.resolve()),
-    )
-    # Edits are left out here: what they change need not be there in another model.
-    ours, theirs = (compile_mjcf(r, r.render(r.nominal)) for r in (robot, real))
-    for kind in ("joint", "actuator"):
-        if part_names(ours, kind) != part_names(theirs, kind):
-            raise InputError(
-                f"reality_model {str(model)!r}: its {kind}s are {', '.join(part_names(theirs, kind))}, expected those "
-                f"of {robot.name}: {', '.join(part_names(ours, kind))}"
-            )
-    return real
+def _check_variables(model: Path, real: Robot, named: Sequence[str]) -> None:
+    """Raise InputError where a value is given to a number that a reality's file has itself."""
+    fixed = [name for name in named if name not in variables(real)]
+    if fixed:
+        raise InputError(
+            f"truth {fixed[0]}: the reality is {model}, whose numbers stand as they are; change it there, or leave "
+            "--truth or --reality-model out"
+        )
 
 
 def _folder_reality(config: CoevolveConfig, robot: Robot, fitness: FitnessFunction) -> FolderReality:

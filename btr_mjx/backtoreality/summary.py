@@ -29,11 +29,11 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
       prediction_error_first and _last: mean |f_s - f_r| over the controllers that were new in the first and the last
       iteration, f_s as predicted before they were tried. delta_fitness_first and _last: Delta_fitness of s_0 over the
       behaviours of iteration 1, and of the last simulation over those it was fitted to. parameter_error_first and
-      _last: mean absolute error of the unknown parameters, None for a reality that is not simulated. The fitness
-      function's name, unit and direction; bounds and units of the unknown parameters (space). reality_evaluations, lp
-      (learning performance) and its terms, the simulation, what the trials tell of it (told, see
-      `told_words.told_record`), the best controller, the stop criterion that was met, and
-      the noise of a single measurement where trials were measured more than once.
+      _last: mean absolute error of the unknown parameters whose true values are known (truth), None where none is. The
+      fitness function's name, unit and direction; bounds and units of the unknown parameters (space).
+      reality_evaluations, lp (learning performance) and its terms, the simulation, what the trials tell of it (told,
+      see `told_words.told_record`), the best controller, the stop criterion that was met, and the noise of a single
+      measurement where trials were measured more than once.
     """
     original, problem = problem, grown(problem, state.grown)
     trials, last = state.trials, state.iteration
@@ -48,12 +48,13 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
         whole_trial_delta(problem, s[None], trials, iteration)[0]
     )
     indices, box = problem.robot.simulation_box.indices(problem.unknown), problem.simulation_box
-    truth, noise = (getattr(problem.reality, name, None) for name in ("truth", "noise"))
-
+    true, noise = (getattr(problem.reality, name, None) for name in ("true_values", "noise"))
     known = original.robot.simulation_box.indices(original.unknown)
+    truth = np.full(len(known), np.nan) if true is None else true[known]
+    told = np.isfinite(truth)
 
     def error(simulation: np.ndarray) -> float | None:
-        return None if truth is None else float(np.abs(simulation[known] - np.array(truth)[known]).mean())
+        return float(np.abs(simulation[known] - truth)[told].mean()) if told.any() else None
 
     values = lambda s: dict(zip(problem.unknown, np.asarray(s)[indices].tolist(), strict=True))  # noqa: E731
     return {
@@ -80,12 +81,12 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
         "f_r_best": f_end,
         "f_s_best": float(trials.f_s[best]),
         "failed_trials": int((~np.isfinite(trials.f_r)).sum()),
-        "measurement_noise": noise if truth is None and noise is not None and np.isfinite(noise) else None,
+        "measurement_noise": noise if true is None and noise is not None and np.isfinite(noise) else None,
         "iterations": last,
         "stop": state.stop,
         "start": values(problem.start),
         "simulation": values(state.simulation),
-        "truth": None if truth is None else dict(zip(original.unknown, np.array(truth)[known].tolist(), strict=True)),
+        "truth": {original.unknown[i]: float(truth[i]) for i in np.flatnonzero(told)} or None,
         "told": dict(state.told),
         "growth": list(state.sought),
         "effects": list(state.grown),

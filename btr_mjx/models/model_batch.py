@@ -190,7 +190,8 @@ def varying_fields(robot: Robot) -> tuple[str, ...]:
     if "body_inertia" in differing:
         differing.add("body_iquat")  # principal axes may turn between the probes
     found = tuple(name for name in field_names(base) if name in differing)
-    if not found and robot.simulator is None:
+    fixed = robot.plain and not robot.edits  # no parameter can change it, nor does anything say that one does
+    if not found and robot.simulator is None and not fixed:
         raise InputError(f"{robot.template_path}: the model is the same for all of {', '.join(box.names)}")
     return found or ("qpos0",)  # a batch holds at least one field
 

@@ -29,7 +29,7 @@ def morphologies(robot: Robot, run: RunData) -> Figure | None:
     # Numbers of effects that were added to the simulator change no shape.
     own = [i for i, name in enumerate(run.box.names) if name in robot.simulation_box.names]
     names, indices = [run.box.names[i] for i in own], robot.simulation_box.indices(run.box.names[i] for i in own)
-    truth = None if run.truth is None else run.truth[own]
+    truth = run.truth[own] if run.truth is not None and np.isfinite(run.truth[own]).all() else None
     shown = {"nominal": nominal[indices], "identified": run.identified[own], "reality": truth}
     cases = {title: values for title, values in shown.items() if values is not None}
     models = []

@@ -103,7 +103,7 @@ def parameter_values(run: RunData) -> Figure:
             best = [_member_best(search, g)[i] for g in range(len(search.scores))]
             least = "the one with the least" if number == 0 else None
             axes.plot(offset + 1 + np.arange(len(best)), best, color="black", linewidth=1.1, zorder=3, label=least)
-        if run.truth is not None:
+        if run.truth is not None and np.isfinite(run.truth[i]):
             axes.axhline(run.truth[i], color=REAL, linestyle="--", linewidth=1.4, zorder=3.5, label="truth")
         style: dict[str, Any] = {"linestyle": "none", "zorder": 4, "clip_on": False}
         axes.plot(0, run.start[i], "o", color="black", fillstyle="none", markersize=6, label="start", **style)

@@ -2,8 +2,9 @@
 # # A simulator that grows
 #
 # The shoulder of this arm has dry friction, which no value of the two unknown parameters (ball mass, elbow damping)
-# explains. With `grow` the missing effect is sought where the best simulation leaves more of Delta_fitness than errors
-# of calibration do, and its size becomes a new dimension of the space of simulations.
+# explains; they have other values there as well. With `grow` the missing effect is sought where the best simulation
+# leaves more of Delta_fitness than errors of calibration do, and its size becomes a new dimension of the space of
+# simulations.
 
 # %%
 import tempfile

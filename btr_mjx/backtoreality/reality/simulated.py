@@ -50,6 +50,7 @@ class SimulatedReality:
       noise: standard deviation of the relative error of a measured fitness, 0.05 = 5 %.
       seed: of the noise.
       recording_rate: samples per second of recordings.
+      told: (n_s,) true values of the parameters of S, NaN where a model of its own has none; None for `truth`.
     """
 
     robot: Robot
@@ -60,6 +61,12 @@ class SimulatedReality:
     noise: float = 0.0
     seed: int = 0
     recording_rate: float = 400.0
+    told: tuple[float, ...] | None = None
+
+    @property
+    def true_values(self) -> np.ndarray:
+        """(n_s,) true values of the parameters of S, with which results are compared; NaN where they are not told."""
+        return np.array(self.truth if self.told is None else self.told)
 
     def __post_init__(self) -> None:
         self.robot.simulation_box.validate(self.truth, "hidden simulation")
