@@ -27,6 +27,7 @@ from btr_mjx.backtoreality.run_state import Problem, Progress, State
 from btr_mjx.backtoreality.settings import BTRSettings, SearchSettings
 from btr_mjx.backtoreality.settled_engine import with_engine_of_folder, with_measured_engine
 from btr_mjx.backtoreality.summary import bound_words, prediction_errors, summarise, summary_table, value_note
+from btr_mjx.backtoreality.told_words import identified_words
 
 __all__ = [
     "PRESETS",
@@ -54,6 +55,7 @@ __all__ = [
     "export_simulation",
     "grown",
     "growth_sentence",
+    "identified_words",
     "inputs_of",
     "prediction_errors",
     "run_in_folder",

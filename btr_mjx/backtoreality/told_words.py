@@ -10,6 +10,9 @@ from btr_mjx.backtoreality.trial_information import LEVEL, PLANNED_SCATTER, Told
 from btr_mjx.gap.results import format_number
 from btr_mjx.robots import Box
 
+MOST_NAMED = 3
+"""Parameters that a verdict names one by one."""
+
 
 def told_record(told: Told, box: Box) -> dict[str, Any]:
     """What trials tell of the numbers of a box, JSON-able.
@@ -47,6 +50,42 @@ def told_sentence(told: Mapping[str, Any], box: Box) -> str:
     rest = [name for name in told["intervals"] if name not in told["told"]]
     text = f"told by the trials ({100 * LEVEL:g} %): {', '.join(parts) or 'nothing'}"
     return "; ".join([text, *([f"not told: {', '.join(rest)}"] if rest else []), *told["combinations"]])
+
+
+def identified_words(result: Mapping[str, Any]) -> str:
+    """What became of the unknown parameters, by the content of result.json; a value that is not told is not given.
+
+    Of a few parameters it gives the values, of many the mean error in percent of their ranges where it is known.
+    """
+    told = list(result["told"]["told"])
+    rest = [name for name in result["simulation"] if name not in told]
+    left = _listed(rest) if 0 < len(rest) <= MOST_NAMED else f"{len(rest)} parameters"
+    if not told:
+        return f"these trials do not tell {left}"
+    if len(told) <= MOST_NAMED:
+        text = ", ".join(_from_start(result, name) for name in told)
+    else:
+        known = [name for name in told if name in (result["truth"] or {})]
+        text = f"{len(told)} parameters are told" + (f", {_mean_error(result, known)}" if known else "")
+    return f"{text}; not told by these trials: {left}" if rest else text
+
+
+def _from_start(result: Mapping[str, Any], name: str) -> str:
+    unit = f" {result['space'][name]['unit']}".rstrip()
+    start, end = (format_number(result[key][name]) for key in ("start", "simulation"))
+    text = f"{name} goes from {start} to {end}{unit}" if start != end else f"{name} stays at {end}{unit}"
+    true = (result["truth"] or {}).get(name)
+    return text if true is None else f"{text} (truth: {format_number(true)}{unit})"
+
+
+def _mean_error(result: Mapping[str, Any], names: Sequence[str]) -> str:
+    """Of the parameters whose true values are known."""
+    spans = np.array([result["space"][name]["high"] - result["space"][name]["low"] for name in names])
+    first, last = (
+        format_number(100 * float(np.mean([abs(result[key][n] - result["truth"][n]) for n in names] / spans)), 2)
+        for key in ("start", "simulation")
+    )
+    return f"the mean error of {len(names)} of them goes from {first} % to {last} % of their ranges"
 
 
 def _names(box: Box, chosen: np.ndarray) -> list[str]:

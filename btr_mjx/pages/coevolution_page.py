@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from btr_mjx.backtoreality import growth_sentence, prediction_errors, value_note
+from btr_mjx.backtoreality import growth_sentence, identified_words, prediction_errors, value_note
 from btr_mjx.evaluation import metrics
 from btr_mjx.gap.results import format_number
 from btr_mjx.pages.page import embedded
@@ -58,10 +58,6 @@ CAPTIONS: Mapping[str, tuple[str, str]] = {
 """Figure -> what it shows, and its caption."""
 
 
-MOST_NAMED = 3
-"""Parameters whose values the verdict gives one by one; of more it says the mean error."""
-
-
 def coevolution_sentence(run: RunData) -> str:
     """The verdict of a co-evolution, two sentences at most.
 
@@ -75,11 +71,13 @@ def coevolution_sentence(run: RunData) -> str:
     text = f"With {_count(tried, 'trial')} in reality, the mean error of the predicted fitness of new controllers "
     if last == 1:
         text += f"is {values[0]} in the only iteration"
+    elif values[0] == values[1]:
+        text += f"stays at {values[0]} (iterations 1 and {last})"
     elif after < before:
         text += f"falls from {values[0]} (iteration 1) to {values[1]} (iteration {last})"
     else:
         text += f"does not fall: it goes from {values[0]} (iteration 1) to {values[1]} (iteration {last})"
-    text += f"; {_identified(run)}."
+    text += f"; {identified_words(result)}."
     measured, predicted = result.get("f_r_best"), result.get("f_s_best")
     if isinstance(measured, float) and isinstance(predicted, float):
         text += (
@@ -93,27 +91,6 @@ def coevolution_sentence(run: RunData) -> str:
 
 def _errors(run: RunData) -> np.ndarray:
     return prediction_errors(*(run.trials[name] for name in ("f_s", "f_r", "iteration")))
-
-
-def _identified(run: RunData) -> str:
-    """What became of the unknown parameters, in each one's unit or in percent of the ranges."""
-    if run.box.n <= MOST_NAMED:
-        parts = []
-        for i, name in enumerate(run.box.names):
-            unit = f" {run.box.units[i]}".rstrip()
-            start, end = (format_number(float(values[i])) for values in (run.start, run.identified))
-            part = f"{name} goes from {start} to {end}{unit}"
-            if run.truth is not None and np.isfinite(run.truth[i]):
-                part += f" (truth: {format_number(float(run.truth[i]))}{unit})"
-            parts.append(part)
-        return ", ".join(parts)
-    if run.truth is None:
-        return f"{run.box.n} parameters were identified"
-    first, last = (np.nanmean(np.abs(values - run.truth) / run.box.span) for values in (run.start, run.identified))
-    return (
-        f"the mean error of {run.box.n} parameters goes from {format_number(100 * first, 2)} % to "
-        f"{format_number(100 * last, 2)} % of their ranges"
-    )
 
 
 def coevolution_content(folder: Path, run: RunData, figures: Sequence[Path]) -> dict[str, Any]:

@@ -25,7 +25,6 @@ from btr_mjx.pages.page import sentences
 from btr_mjx.pages.page_content import cell_text, flat_rows
 from btr_mjx.pages.scan_page import scan_sentence
 from btr_mjx.plotting import ScanData, kind_of_run, read_run, robot_figure
-from btr_mjx.robots import Box
 from btr_mjx.runs import read_json, write_arrays, write_json
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -223,7 +222,9 @@ def test_the_verdict_of_a_coevolution(folders: Callable[[str], Path]) -> None:
     assert result["prediction_error_last"] == pytest.approx(errors[2])
     assert text.startswith(f"With {result['reality_evaluations']} trials in reality, the mean error of the predicted")
     assert ("falls from" in text) is bool(errors[2] < errors[0])
-    assert f"bl_14 goes from 1.36 to {format_number(result['simulation']['bl_14'])} m (truth: 1.6 m)." in text
+    everything = replace(run, result=result | {"told": result["told"] | {"told": ["bl_5", "bl_14"]}})
+    said = f"bl_14 goes from 1.36 to {format_number(result['simulation']['bl_14'])} m (truth: 1.6 m)."
+    assert said in coevolution_sentence(everything)
     assert f"{format_number(result['f_s_best'])} m/s were predicted" in text
     run.trials["f_s"][trials["iteration"] == 3] += 10.0
     assert "does not fall: it goes from" in coevolution_sentence(run)
@@ -232,11 +233,17 @@ def test_the_verdict_of_a_coevolution(folders: Callable[[str], Path]) -> None:
 def test_the_verdict_of_many_parameters_is_in_percent_of_their_ranges(folders: Callable[[str], Path]) -> None:
     """Metres and kilograms have no mean."""
     run = read_run(folders("coevolve"))
-    names, low, high = ["a", "b", "c", "d"], [0.0, 0.0, 0.0, 0.0], [1.0, 100.0, 10.0, 2.0]
-    box = Box(names, low, high, units=["m", "kg", "m", "s"])
-    start, truth = np.zeros(4), np.array([0.5, 50.0, 5.0, 1.0])
-    many = replace(run, box=box, start=start, truth=truth, identified=0.9 * truth)
-    assert "the mean error of 4 parameters goes from 50 % to 5 % of their ranges." in coevolution_sentence(many)
+    names, high, units = ["a", "b", "c", "d"], [1.0, 100.0, 10.0, 2.0], ["m", "kg", "m", "s"]
+    truth = {name: 0.5 * end for name, end in zip(names, high, strict=True)}
+    result = run.result | {
+        "space": {n: {"low": 0.0, "high": h, "unit": u} for n, h, u in zip(names, high, units, strict=True)},
+        "start": dict.fromkeys(names, 0.0),
+        "simulation": {name: 0.9 * value for name, value in truth.items()},
+        "truth": truth,
+        "told": {"told": names},
+    }
+    text = coevolution_sentence(replace(run, result=result))
+    assert "4 parameters are told, the mean error of 4 of them goes from 50 % to 5 % of their ranges." in text
 
 
 def test_the_table_says_what_is_not_told(folders: Callable[[str], Path]) -> None:
