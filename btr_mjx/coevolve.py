@@ -8,6 +8,7 @@ The run folder holds:
 
     config.json, environment.json   what was asked for, and with which versions and machine
     inputs.json, SHA256SUMS         digests of the robot and the reality, and of all data files
+    inputs/                         copies of the robot's files, from which the run is shown and continued
     generations.csv                 one row per generation of either search
     iterations.csv                  one row per iteration of Back-to-Reality
     trials.npz                      every evaluation in reality: controllers, f_r, f_s, iteration
@@ -36,6 +37,7 @@ from btr_mjx.backtoreality import (
     export_coevolution,
     export_simulation,
     inputs_of,
+    keep_inputs,
     run_in_folder,
     setting_of_robot,
     summarise,
@@ -115,6 +117,7 @@ def run_config(
             config.out, config, config.resume, ignore=(*IGNORED_FIELDS, "figures", "wait"), inputs=inputs_of(problem)
         )
         with folder as run, graceful_interrupt() as stop:
+            keep_inputs(run.path, config, problem.robot, problem.reality)
             batch = config.simulations * config.trials
             config = with_measured_engine(config, problem.robot, whole_trials(problem), batch, run.settle)
             problem = build_problem(config, robot)

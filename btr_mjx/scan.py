@@ -27,6 +27,7 @@ from btr_mjx.backtoreality import (
     curve_statistics,
     delta,
     delta_fitness,
+    keep_inputs,
     run_scan,
     with_engine_of_folder,
     with_measured_engine,
@@ -73,6 +74,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             "the fitness function": content_digest(scan.fitness),
         }
         with RunFolder.create(config.out, config, config.resume, ignore=ignore, inputs=inputs) as run:
+            keep_inputs(run.path, config, scan.robot)
             config = with_measured_engine(config, scan.robot, total, batch, run.settle)
             arrays, result = _with_bar(config, total)
             write_arrays(run.path / "scan.npz", arrays)

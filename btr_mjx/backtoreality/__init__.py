@@ -11,6 +11,7 @@ from btr_mjx.backtoreality.controller_search import evolve_controllers, select_t
 from btr_mjx.backtoreality.given_settings import typed_settings
 from btr_mjx.backtoreality.grown import grown
 from btr_mjx.backtoreality.growth import growth_sentence
+from btr_mjx.backtoreality.kept_inputs import keep_inputs, with_kept_files
 from btr_mjx.backtoreality.line_scan import (
     ScanConfig,
     along,
@@ -57,6 +58,7 @@ __all__ = [
     "growth_sentence",
     "identified_words",
     "inputs_of",
+    "keep_inputs",
     "prediction_errors",
     "run_in_folder",
     "run_scan",
@@ -68,5 +70,6 @@ __all__ = [
     "value_note",
     "whole_trials",
     "with_engine_of_folder",
+    "with_kept_files",
     "with_measured_engine",
 ]

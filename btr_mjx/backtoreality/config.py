@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from btr_mjx.backtoreality.given_settings import flags_of
+from btr_mjx.backtoreality.kept_inputs import with_kept_files
 from btr_mjx.backtoreality.reality import (
     FolderReality,
     Reality,
@@ -133,11 +134,14 @@ def setting_of_robot(robot: Robot) -> dict[str, Any]:
 def build_problem(config: CoevolveConfig, robot: Robot | None = None) -> Problem:
     """The problem that a config defines, of a robot where the config names no file; writes no files.
 
+    A file that is gone is read from the copy in the run folder, see `with_kept_files`.
+
     Raises:
       InputError: a setting that is out of its range.
     """
+    read = with_kept_files(config)
     if robot is None:
-        robot = chosen_robot(config.robot, config.template, config.duration)
+        robot = chosen_robot(read.robot, read.template, config.duration)
     elif config.template is not None:
         raise InputError(f"template {config.template}: the robot {robot.name} has its own")
     elif config.duration is not None:
@@ -158,9 +162,9 @@ def build_problem(config: CoevolveConfig, robot: Robot | None = None) -> Problem
     for name in given:
         if name not in unknown:
             raise InputError(f"truth {name}={given[name]}: {name} is not among the unknown ({', '.join(unknown)})")
-    real = robot if config.reality_model is None else robot_of_file(robot, config.reality_model)
-    if config.reality_model is not None:
-        _check_variables(config.reality_model, real, [setting.partition("=")[0] for setting in named])
+    real = robot if read.reality_model is None else robot_of_file(robot, read.reality_model)
+    if read.reality_model is not None:
+        _check_variables(read.reality_model, real, [setting.partition("=")[0] for setting in named])
     # Two random generators, so that giving some of the true values does not change the start of the search.
     drawn = box.sample(np.random.default_rng([config.seed, 101]))
     truth, start = robot.nominal_simulation, robot.nominal_simulation
@@ -172,7 +176,7 @@ def build_problem(config: CoevolveConfig, robot: Robot | None = None) -> Problem
         raise InputError("reality_timestep and reality_integrator need --reality-engine native")
     if config.reality_timestep is not None and not 0 < config.reality_timestep <= 0.01:
         raise InputError(f"reality_timestep: got {config.reality_timestep}, expected a step within (0, 0.01] s")
-    engine, fitness = config.engine_or_none, config.fitness_of(robot)
+    engine, fitness = config.engine_or_none, read.fitness_of(robot)
     same = engine if config.reality_model is None else "native"
     told = None
     if real is not robot:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from btr_mjx.backtoreality.controller_search import evolve_controllers, select_transferable
+from btr_mjx.backtoreality.kept_inputs import with_kept_files
 from btr_mjx.backtoreality.run_state import Progress
 from btr_mjx.backtoreality.settings import RunSettings, SearchSettings, check_settings
 from btr_mjx.cluster import BlockSettings, evaluate_blocks
@@ -160,7 +161,8 @@ def build_scan(config: ScanConfig) -> Scan:
     Raises:
       InputError: bad settings, or a cluster without Dask.
     """
-    robot = chosen_robot(config.robot, config.template, config.duration)
+    read = with_kept_files(config)
+    robot = chosen_robot(read.robot, read.template, config.duration)
     check_settings(config, robot)
     box, paper = robot.simulation_box, config.robot is None
     parameter = config.parameter or ("bl_14" if paper else box.names[0])
@@ -178,7 +180,7 @@ def build_scan(config: ScanConfig) -> Scan:
         )
     folder = None if config.out is None else config.out / "blocks"
     blocks = BlockSettings(folder, config.block, config.cluster)
-    return Scan(robot, config.fitness_of(robot), parameter, start, float(truth), evolution, blocks)
+    return Scan(robot, read.fitness_of(robot), parameter, start, float(truth), evolution, blocks)
 
 
 def _behaviours(config: ScanConfig, scan: Scan, step: Progress | None) -> np.ndarray:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -120,7 +121,7 @@ def fitness_function(fitness: FitnessLike, target: Sequence[float] = ()) -> Fitn
         return FitnessFunction(name, "m", False, partial(_target_distance, np.array(target, float)))
     if ".py:" in name:
         own = load_object(name, "fitness")
-        return own if isinstance(own, FitnessFunction) else _of_callable(own, name)
+        return own if isinstance(own, FitnessFunction) else _of_callable(own, Path(name).name)
     if name not in FITNESS_FUNCTIONS:
         known = ", ".join([*FITNESS_FUNCTIONS, "target_distance", "FILE.py:NAME"])
         raise InputError(f"fitness: got {name!r}, expected one of: {known}")

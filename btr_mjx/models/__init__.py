@@ -13,6 +13,7 @@ from btr_mjx.models.compilation import (
     robot_digest,
     start_of,
 )
+from btr_mjx.models.file_copies import files_of_model, files_of_robot, keep_files, kept_files
 from btr_mjx.models.light_meshes import with_light_meshes
 from btr_mjx.models.mjcf_checks import check_mjcf
 from btr_mjx.models.model_batch import Models, compile_models, varying_fields
@@ -39,8 +40,12 @@ __all__ = [
     "compile_models",
     "difference",
     "dof_places",
+    "files_of_model",
+    "files_of_robot",
     "general_model",
     "integrate",
+    "keep_files",
+    "kept_files",
     "load_robot",
     "mjcf_spec",
     "model_of",

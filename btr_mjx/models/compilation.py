@@ -147,9 +147,10 @@ def _included_files(folder: Path, xml: str) -> dict[str, bytes]:
 def robot_digest(robot: Robot) -> str:
     """SHA-256, in hex, of a robot and of its compiled model, which holds the files that its MJCF includes.
 
-    Where these files are does not matter, nor does the robot's name.
+    Where these files are does not matter, nor where the file of a fitness function is, nor the robot's name.
 
     Raises:
       InputError: the model cannot be compiled.
     """
-    return content_digest(replace(robot, name="", template_path="", folder=""), base_model(robot))
+    content = replace(robot, name="", template_path="", folder="", fitness=Path(robot.fitness).name)
+    return content_digest(content, base_model(robot))

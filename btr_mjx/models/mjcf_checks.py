@@ -55,10 +55,13 @@ class _Found:
     folders: set[str] = field(default_factory=lambda: {""})
 
 
-def check_mjcf(text: str, where: str, folder: Path, inside: Path | None = None) -> None:
+def check_mjcf(text: str, where: str, folder: Path, inside: Path | None = None) -> list[Path]:
     """Check MJCF of a file `where`, and the MJCF files that it includes, whose names refer to `folder`.
 
     No named file may lie outside of the folder `inside`; None where the user chose the model.
+
+    Returns:
+      The files that it names and that are there, and those that these name.
 
     Raises:
       InputError: not XML, too many elements, an attribute above its limit, a named file that is a device, too large or
@@ -85,6 +88,7 @@ def check_mjcf(text: str, where: str, folder: Path, inside: Path | None = None) 
                 _check_counts(total, where)
                 waiting.append((part, path.parent))
     _check_counts(total, where)
+    return sorted(seen)
 
 
 def _check_counts(found: _Found, where: str) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 
 from btr_mjx.errors import InputError
-from btr_mjx.models import chosen_robot
+from btr_mjx.models import chosen_robot, kept_files
 from btr_mjx.robots import Box, Robot
 from btr_mjx.runs import read_arrays, read_config_json, read_json, read_table
 
@@ -154,13 +154,15 @@ def read_run(folder: Path) -> RunData:
 
 
 def read_robot(folder: Path) -> Robot:
-    """The robot of a run folder.
+    """The robot of a run folder, from the run's own copy where there is one.
 
     Raises:
       InputError: not a run folder, or the template of its config cannot be read.
     """
     config = read_config_json(folder)
-    files = [None if config.get(key) is None else Path(config[key]) for key in ("robot", "template")]
+    kept = kept_files(folder)
+    names = ("robot", "template")
+    files = [None if config.get(key) is None else kept.get(key, Path(config[key])) for key in names]
     return chosen_robot(files[0], files[1], config.get("duration"))
 
 

@@ -15,6 +15,7 @@ from btr_mjx.backtoreality import (
     build_problem,
     grown,
     inputs_of,
+    with_kept_files,
 )
 from btr_mjx.errors import InputError
 from btr_mjx.evaluation import Engine, EngineSettings, FitnessFunction, evaluate
@@ -34,7 +35,7 @@ def coevolution_replay(folder: Path, frames: int) -> Replay:
     simulated again in native MuJoCo. Of a reality behind a folder those trials are shown of which it holds a recording;
     where there is none, the two simulations are shown in one row.
     """
-    problem = build_problem(replace(read_config(folder, CoevolveConfig), out=folder))
+    problem = build_problem(with_kept_files(replace(read_config(folder, CoevolveConfig), out=folder), gone_only=False))
     check_inputs(folder, inputs_of(problem))
     result, trials = read_json(folder / "result.json"), read_arrays(folder / "trials.npz")
     final = grown(problem, result["effects"])

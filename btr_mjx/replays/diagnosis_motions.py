@@ -66,6 +66,12 @@ def compared_worlds(folder: Path) -> tuple[Dataset, Recording, dict[str, World]]
     config, result = read_config_json(folder), read_json(folder / "result.json")
     if config.get("signal", "trajectory") != "trajectory":
         raise InputError(f"{folder}: a table of fitness was diagnosed, which holds no motion that could be shown")
+    used = [Path(path) for path in ((config["dataset"], *(config.get("logs") or ())) if not config.get("demo") else ())]
+    if gone := [str(path) for path in used if not path.exists()]:
+        raise InputError(
+            f"{folder}: {', '.join(gone)} is not there any more, which this diagnosis read and a replay draws; put it "
+            "back, or start the command in the folder in which it was started first"
+        )
     dataset = open_dataset(
         folder / "demo" if config.get("demo") else Path(config["dataset"]), logs=config.get("logs") or ()
     )

@@ -14,6 +14,9 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 
+_PLACES = ("paths", "npaths", "nbuffer")
+"""Fields of a model with the paths of its files, and sizes that depend on them."""
+
 _PACKAGE = __name__.partition(".")[0]
 
 
@@ -54,10 +57,7 @@ class _Digest:
         elif isinstance(value, (np.ndarray, np.generic)):
             self._array(np.asarray(value))
         elif _is_model(value):
-            mujoco = sys.modules["mujoco"]
-            binary = np.empty(mujoco.mj_sizeModel(value), np.uint8)
-            mujoco.mj_saveModel(value, None, binary)
-            self._array(binary)
+            self._model(value)
         elif isinstance(value, Mapping):
             self.add([part for key in sorted(value, key=repr) for part in (key, value[key])])
         elif isinstance(value, (list, tuple)):
@@ -97,6 +97,18 @@ class _Digest:
             self.add(array.tolist())
         else:
             self.total.update(np.ascontiguousarray(array).tobytes())
+
+    def _model(self, part: Any) -> None:
+        """A model, or a part of it such as its options; where its files were is no content."""
+        for name in dir(part):
+            value = getattr(part, name)
+            if name.startswith("_") or callable(value) or name in _PLACES or name.endswith("_pathadr"):
+                continue
+            self._text(name)
+            if isinstance(value, (np.ndarray, bytes, str, int, float)):
+                self.add(value)
+            else:
+                self._model(value)
 
     def _function(self, function: FunctionType) -> None:
         self._text(f"{function.__module__}.{function.__qualname__}")

@@ -52,9 +52,10 @@ def check_inputs(path: Path, inputs: Mapping[str, str]) -> None:
         saved = read_json(path / INPUTS_NAME)
         other = [name for name, digest in inputs.items() if not isinstance(saved, dict) or saved.get(name) != digest]
         if other:
+            copies = f" (copies are in {path / 'inputs'})" if (path / "inputs").is_dir() else ""
             raise InputError(
-                f"{path}: {' and '.join(other)} changed since the run was started; restore what was changed, or begin "
-                "another run with another --out"
+                f"{path}: {' and '.join(other)} changed since the run was started; restore what was changed{copies}, "
+                "or begin another run with another --out"
             )
 
 

@@ -20,7 +20,7 @@ from btr_mjx.models import base_model, light_meshes
 from btr_mjx.plotting import camera_for, rendering
 from btr_mjx.replay import ReplayConfig, main, replay
 from btr_mjx.replays import Replay, ReplayedMotion, draw_film, film, read_replay, write_film
-from btr_mjx.replays.diagnosis_motions import _drawn_model, _mended_world, open_loop_positions
+from btr_mjx.replays.diagnosis_motions import _drawn_model, _mended_world, diagnosis_replay, open_loop_positions
 from btr_mjx.replays.film import FOOT, GAP, LABEL, picture_height
 from btr_mjx.replays.replay_records import frame_times, hold_last_valid
 from btr_mjx.robots import hexapod
@@ -381,3 +381,10 @@ XML_OF_SERVO = """<mujoco><asset>{mesh}</asset><worldbody><body><joint name="j"/
 def still_recording(model: mujoco.MjModel) -> Recording:
     zeros = np.zeros((30, 1))
     return Recording("r", np.arange(30) / 50, zeros, zeros, zeros, np.ones(1, bool), "test", model)
+
+
+def test_a_replay_names_recordings_that_are_gone(tmp_path: Path) -> None:
+    write_json(tmp_path / "config.json", {"dataset": str(tmp_path / "gone.xml"), "logs": [str(tmp_path / "a.csv")]})
+    write_json(tmp_path / "result.json", {})
+    with pytest.raises(InputError, match=r"gone\.xml, .*a\.csv is not there any more.*put it back"):
+        diagnosis_replay(tmp_path, 5, 1.0)
