@@ -18,6 +18,9 @@ The run folder holds:
     simulation.xml                  the identified simulation as MJCF
     parameters.csv, parameters.json the identified parameters for other programs
     report.html, *.png              page and figures, drawn from these files
+
+The exit code is 0 for a run that has ended, 75 for one that waits for measurements in --exchange (go on with --resume),
+2 for bad input and 130 after an interrupt.
 """
 
 import dataclasses
@@ -47,7 +50,7 @@ from btr_mjx.backtoreality import (
     with_engine_of_folder,
     with_measured_engine,
 )
-from btr_mjx.errors import Interrupted, cli_errors, resume_command
+from btr_mjx.errors import WAITING_CODE, Interrupted, cli_errors, resume_command
 from btr_mjx.models import base_model
 from btr_mjx.pages import PAGE, draw_run_page
 from btr_mjx.plotting import attempt
@@ -161,6 +164,7 @@ def main(argv: Sequence[str] | None = None) -> None:
                 run_config(config, tell=lambda result, out: print(summary_table(result, out), flush=True))
         except Waiting as waiting:
             print("\n".join([*waiting.complaints, str(waiting), f"then go on with: {resume}"]))
+            raise SystemExit(WAITING_CODE) from None
 
 
 class _CallableModule(types.ModuleType):

@@ -26,6 +26,9 @@ MAX_LINE = 1000
 INTERRUPTED_CODE = 130
 """Exit code of a command after an interrupt: 128 + SIGINT."""
 
+WAITING_CODE = 75
+"""Exit code of a command that waits for others and is to be run again: EX_TEMPFAIL of sysexits.h."""
+
 UNREAD_CODE = 141
 """Exit code of a command whose output nobody reads to the end, as in `--help | head`: 128 + SIGPIPE."""
 

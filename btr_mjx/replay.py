@@ -68,6 +68,10 @@ def check_replay(config: ReplayConfig) -> Path:
         check_display()
     out = config.out or config.run / "replay.gif"
     check_film(out)
+    from btr_mjx.runs import check_file_place
+
+    if not config.view and config.run.is_dir():
+        check_file_place(out)
     return out
 
 

@@ -51,7 +51,8 @@ class CoevolveConfig(RunSettings, BTRSettings):
     exchange: Path | None = None
     """Folder through which trials and measurements are exchanged; by default exchange in the run folder."""
     wait: bool = False
-    """Wait for measurements; otherwise the command ends where some are missing, to be continued with --resume."""
+    """Wait for measurements; otherwise the command ends where some are missing, with exit code 75, to be continued with
+    --resume."""
     signal_rate: float = 200.0
     """Samples per second of the reference signals in --exchange."""
     reality_model: Path | None = None

@@ -32,7 +32,7 @@ from btr_mjx.models.path_parameters import KEYS, PathParameter, read_bounds, rea
 from btr_mjx.models.paths import nearest_names, refuse_unknown_keys
 from btr_mjx.models.robot_checks import free_joints
 from btr_mjx.robots import Box, Robot, Sinusoids, hexapod, read_template
-from btr_mjx.runs import file_name, is_number, read_toml, toml_rows, toml_section
+from btr_mjx.runs import file_name, is_number, read_toml, toml_lines, toml_rows, toml_section
 
 _KEYS = ("name", "model", "base_body", "point", "duration", "keyframe", "fitness", "target", "speed_limit")
 _TABLES = ("parameter", "controller", "constants")
@@ -54,6 +54,11 @@ def load_robot(path: str | Path) -> Robot:
     file = file / "robot.toml" if file.is_dir() else file
     if file.suffix in (".xml", ".mjcf", ".j2"):
         raise InputError(f"{file}: a robot is a robot.toml, which names its MJCF; see docs/robot_file.md")
+    with toml_lines(file):
+        return _load_robot(file)
+
+
+def _load_robot(file: Path) -> Robot:
     try:
         table = read_toml(file)
     except OSError as error:
@@ -96,6 +101,10 @@ def load_robot(path: str | Path) -> Robot:
     )
     if not robot.speed_limit > 0:
         raise InputError(f"{file}: speed_limit = {robot.speed_limit}: expected a speed above 0 [m/s]")
+    try:
+        start_of(robot)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
     _check_start(robot)
     controls = controls_at_start(model, robot.keyframe)
     box, signal = read_controller(toml_section(table, "controller", file), model, controls, robot.duration, file)

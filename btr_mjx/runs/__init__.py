@@ -30,10 +30,12 @@ from btr_mjx.runs.files import (
     write_json,
     write_table,
 )
+from btr_mjx.runs.out_place import check_file_place, writing_to
 from btr_mjx.runs.progress_bar import StopRequest, graceful_interrupt, note, progress, say_progress
 from btr_mjx.runs.python_files import installed_objects, load_object
 from btr_mjx.runs.resume_check import check_inputs, claimed_folder, is_unused
 from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder
+from btr_mjx.runs.toml_lines import toml_lines
 from btr_mjx.runs.toml_tables import check_keys, file_inside, file_name, is_number, read_toml, toml_rows, toml_section
 
 __all__ = [
@@ -46,6 +48,7 @@ __all__ = [
     "StopRequest",
     "atomic_write",
     "available_cores",
+    "check_file_place",
     "check_inputs",
     "check_keys",
     "check_listed",
@@ -79,6 +82,7 @@ __all__ = [
     "read_toml",
     "say_progress",
     "to_plain",
+    "toml_lines",
     "toml_rows",
     "toml_section",
     "write_arrays",
@@ -86,4 +90,5 @@ __all__ = [
     "write_json",
     "write_table",
     "write_text",
+    "writing_to",
 ]

@@ -12,6 +12,7 @@ from btr_mjx.runs.atomic import is_temporary
 from btr_mjx.runs.config_json import differences, read_config_json
 from btr_mjx.runs.files import read_json
 from btr_mjx.runs.locks import LOCK_NAME
+from btr_mjx.runs.out_place import writing_to
 
 INPUTS_NAME = "inputs.json"
 """Name of the file in a run folder."""
@@ -27,7 +28,7 @@ def check_folder_of_run(
 ) -> None:
     """Refuse a folder that cannot take this run, without touching it."""
     if path.exists() and not path.is_dir():
-        raise InputError(f"{path} is a file, not a run folder; choose another --out")
+        raise InputError(f"--out {path}: is a file, not a run folder; choose another --out")
     if resume and not path.exists():
         raise InputError(f"nothing to resume: there is no folder {path}; check --out or leave out --resume")
     if is_unused(path):
@@ -67,8 +68,7 @@ def claimed_folder[Config](config: Config, base: str) -> Iterator[Config]:
     empty at the end. The config has the fields `out` (a path or None) and `resume`.
 
     Raises:
-      InputError: `resume` without a folder.
-      OSError: the folder cannot be made.
+      InputError: `resume` without a folder, or the folder cannot be made.
     """
     settings: Any = config
     if settings.out is not None:
@@ -76,12 +76,13 @@ def claimed_folder[Config](config: Config, base: str) -> Iterator[Config]:
         return
     if settings.resume:
         raise InputError("--resume: say which run to continue with --out FOLDER")
-    Path("runs").mkdir(exist_ok=True)
-    for number in count(1):
-        folder = Path("runs") / (base if number == 1 else f"{base}-{number}")
-        with suppress(FileExistsError):
-            folder.mkdir()
-            break
+    with writing_to(Path("runs"), "--out"):
+        Path("runs").mkdir(exist_ok=True)
+        for number in count(1):
+            folder = Path("runs") / (base if number == 1 else f"{base}-{number}")
+            with suppress(FileExistsError):
+                folder.mkdir()
+                break
     try:
         yield replace(settings, out=folder)
     finally:

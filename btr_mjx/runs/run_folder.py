@@ -43,6 +43,7 @@ from btr_mjx.runs.config_json import CONFIG_NAME, config_to_json
 from btr_mjx.runs.environment import describe_environment, environment_changes
 from btr_mjx.runs.files import read_json, to_plain, write_json, write_table
 from btr_mjx.runs.locks import take_lock
+from btr_mjx.runs.out_place import writing_to
 from btr_mjx.runs.progress_bar import note
 from btr_mjx.runs.resume_check import INPUTS_NAME, check_folder_of_run
 
@@ -120,15 +121,17 @@ class RunFolder:
 
         Raises:
           InputError: the folder is not empty (without `resume`), is no run folder, was begun with another config (every
-            field that differs is named with both values) or other inputs, or is in use by another process.
+            field that differs is named with both values) or other inputs, is in use by another process, or cannot be
+            made or written to.
           TypeError: the config cannot be saved as JSON.
-          OSError: the folder cannot be made or written to.
+          OSError: a file of it cannot be written.
         """
         path = Path(path)
         data = config_to_json(config)
-        check_folder_of_run(path, data, resume, ignore, inputs or {})
-        path.mkdir(parents=True, exist_ok=True)
-        lock = take_lock(path)
+        with writing_to(path):
+            check_folder_of_run(path, data, resume, ignore, inputs or {})
+            path.mkdir(parents=True, exist_ok=True)
+            lock = take_lock(path)
         run = cls(path, (path / CONFIG_NAME).exists(), lock)
         try:
             # Again: another process may have been here before the lock.

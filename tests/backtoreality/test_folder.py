@@ -20,7 +20,7 @@ from btr_mjx import coevolve
 from btr_mjx.backtoreality import PRESETS, FolderReality, SimulatedReality, Waiting
 from btr_mjx.backtoreality.given_settings import flags_of
 from btr_mjx.backtoreality.reality.instructions import command_kinds, instructions
-from btr_mjx.errors import InputError
+from btr_mjx.errors import WAITING_CODE, InputError
 from btr_mjx.evaluation import evaluate, fitness_function, fitness_of
 from btr_mjx.gap.data import control_columns
 from btr_mjx.gap.data.writing import recording_columns
@@ -211,6 +211,15 @@ def command(folder: Path, *more: str) -> list[str]:
     return [*own, *SMALL, *more]
 
 
+def one_round(folder: Path, *more: str) -> int:
+    """The exit code of the command, run once."""
+    try:
+        coevolve.main(command(folder, *more))
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
 def room(folder: Path, *more: str) -> list[str]:
     return [sys.executable, str(EXAMPLES / "robot_in_the_next_room.py"), str(folder / "exchange"), *more]
 
@@ -220,7 +229,8 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict:
     """A run in steps: it ends where measurements are missing, and goes on with --resume."""
     folder = tmp_path_factory.mktemp("steps")
     for k in range(4):
-        coevolve.main(command(folder, *(["--resume"] if k else [])))
+        code = one_round(folder, *(["--resume"] if k else []))
+        assert code == (WAITING_CODE if k < 3 else 0)  # the first controller, and two iterations
         subprocess.run(room(folder, "--once"), check=True, timeout=60)
     result = json.loads((folder / "run" / "result.json").read_text())
     assert result["reality_evaluations"] == 9
@@ -261,23 +271,23 @@ def test_a_run_that_waits(uninterrupted: dict, tmp_path: Path) -> None:
 
 
 def test_missing_rows_are_asked_for_again(uninterrupted: dict, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    coevolve.main(command(tmp_path))
+    assert one_round(tmp_path) == WAITING_CODE
     subprocess.run(room(tmp_path, "--once"), check=True, timeout=60)
-    coevolve.main(command(tmp_path, "--resume"))
+    one_round(tmp_path, "--resume")
     subprocess.run(room(tmp_path, "--once"), check=True, timeout=60)
     table = tmp_path / "exchange" / "measured" / "001.csv"
     rows = table.read_text().splitlines()
     table.write_text("\n".join([rows[0], *rows[3:], rows[-1], "3,1.0,,,,"]) + "\n")
     os.utime(table)
     capsys.readouterr()
-    coevolve.main(command(tmp_path, "--resume"))
+    one_round(tmp_path, "--resume")
     out = capsys.readouterr().out
     assert "waiting for 1 measurement (trials 1)" in out
     assert "is the same as line" in out
     assert "--resume" in out
     table.write_text("\n".join([*rows, rows[-1]]) + "\n")
     for _ in range(2):
-        coevolve.main(command(tmp_path, "--resume"))
+        one_round(tmp_path, "--resume")
         subprocess.run(room(tmp_path, "--once"), check=True, timeout=60)
     assert json.loads((tmp_path / "run" / "result.json").read_text()) == uninterrupted
 

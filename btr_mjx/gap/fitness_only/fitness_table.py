@@ -28,7 +28,16 @@ from btr_mjx.evaluation import fitness_function
 from btr_mjx.gap.data import DATASET_FILE, Dataset, read_header
 from btr_mjx.gap.preflight import Finding
 from btr_mjx.models import nearest_names, part_names
-from btr_mjx.runs import atomic_write, check_keys, file_inside, is_number, read_table, toml_section, write_table
+from btr_mjx.runs import (
+    atomic_write,
+    check_keys,
+    file_inside,
+    is_number,
+    read_table,
+    toml_lines,
+    toml_section,
+    write_table,
+)
 
 POSITION_FUNCTIONS = ("distance", "forward_speed")
 """Fitness functions that need the body's position only."""
@@ -76,6 +85,12 @@ def load_fitness(folder: str | Path) -> FitnessTable:
       DamagedFile: a file that does not parse.
       OSError: a file that cannot be read.
     """
+    folder = Path(folder)
+    with toml_lines(folder if folder.name == DATASET_FILE else folder / DATASET_FILE):
+        return _load_fitness(folder)
+
+
+def _load_fitness(folder: Path) -> FitnessTable:
     head, tables = read_header(folder, more=("fitness",))
     path = head.folder / DATASET_FILE
     about, where = toml_section(tables, "fitness", path), f"{path}: [fitness]"
