@@ -13,9 +13,10 @@ import mujoco
 import numpy as np
 
 from btr_mjx.plotting.camera import AZIMUTH, ELEVATION, FOVY, Camera, has_ground, highest_group, view_axes
+from btr_mjx.plotting.contrast import set_apart
 
-BACKGROUND = (240, 241, 244)
-"""Colour behind a model without a sky."""
+GRID, GRID_WIDTH, LINES = (0.35, 0.35, 0.35, 0.3), 1.0, 4
+"""Colour and width [pixels] of the lines of a floor without a material, and about how many of them are in a picture."""
 
 TRAIL, TRAIL_WIDTH = (0.78, 0.39, 0.12, 1.0), 0.012
 """Colour and radius [m] of the path that a robot has travelled."""
@@ -36,14 +37,16 @@ def write_pictures(
     has_sky = bool((model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any())
     trail = _base_trail(model, poses)
     hide_covered_spheres(model)
+    background, grid = set_apart(model), _grid(model, camera)
     with mujoco.Renderer(model, height, width) as renderer:
         for number, qpos in enumerate(poses):
             data.qpos[:] = qpos
             mujoco.mj_forward(model, data)
             renderer.update_scene(data, view, option)
             _light(renderer.scene, camera)
+            _draw_grid(renderer.scene, grid)
             _draw_trail(renderer.scene, trail[: number + 1])
-            out.write((renderer.render() if has_sky else _with_background(renderer)).tobytes())
+            out.write((renderer.render() if has_sky else _with_background(renderer, background)).tobytes())
             out.flush()
 
 
@@ -73,11 +76,11 @@ def _light(scene: mujoco.MjvScene, camera: Camera) -> None:
     lamp.pos[:], lamp.dir[:] = camera.lookat + 0.5 * camera.distance * towards, -towards
 
 
-def _with_background(renderer: mujoco.Renderer) -> np.ndarray:
-    """The picture of a model without a sky, which MuJoCo draws black, before a light background."""
+def _with_background(renderer: mujoco.Renderer, background: tuple[int, int, int]) -> np.ndarray:
+    """The picture of a model without a sky, which MuJoCo draws black, before a background."""
     picture = renderer.render()
     renderer.enable_segmentation_rendering()
-    picture[renderer.render()[..., 0] < 0] = BACKGROUND
+    picture[renderer.render()[..., 0] < 0] = background
     renderer.disable_segmentation_rendering()
     return picture
 
@@ -91,17 +94,55 @@ def _base_trail(model: mujoco.MjModel, poses: np.ndarray) -> np.ndarray:
     return np.column_stack([poses[:, first : first + 2], np.full(len(poses), 0.005)])
 
 
+def _grid(model: mujoco.MjModel, camera: Camera) -> np.ndarray:
+    """Ends (n, 2, 3) of the lines of a level floor without a material, on which motion is not seen otherwise [m]."""
+    for geom in np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_matid < 0)):
+        level = np.allclose(model.geom_quat[geom], [1, 0, 0, 0]) and model.geom_bodyid[geom] == 0
+        if not level or model.geom_rgba[geom, 3] == 0 or model.geom_group[geom] > highest_group(model):
+            continue
+        wanted = 2 * camera.distance * np.tan(np.radians(FOVY) / 2) / LINES
+        power = 10.0 ** np.floor(np.log10(wanted))
+        step = power * max(factor for factor in (1, 2, 5) if factor * power <= wanted)
+        middle, reach = np.round(camera.lookat[:2] / step), 5 * LINES
+        x, y = (step * (place + np.arange(-reach, reach + 1)) for place in middle)
+        along = [[(one, end) for end in (y[0], y[-1])] for one in x] + [
+            [(end, one) for end in (x[0], x[-1])] for one in y
+        ]
+        height = np.full((len(along), 2, 1), model.geom_pos[geom, 2] + 1e-3 * camera.distance)
+        return np.concatenate([np.array(along), height], axis=2)
+    return np.zeros((0, 2, 3))
+
+
+def _draw_grid(scene: mujoco.MjvScene, lines: np.ndarray) -> None:
+    """Add lines (n, 2, 3) to a scene."""
+    for start, end in lines:
+        _connect(scene, mujoco.mjtGeom.mjGEOM_LINE, GRID, GRID_WIDTH, start, end)
+
+
 def _draw_trail(scene: mujoco.MjvScene, points: np.ndarray) -> None:
     """Add a line on the ground through points (n, 3)."""
     for start, end in itertools.pairwise(points):
-        if scene.ngeom < scene.maxgeom and (start != end).any():
-            geom = scene.geoms[scene.ngeom]
-            kind = mujoco.mjtGeom.mjGEOM_CAPSULE
-            mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(TRAIL, np.float32))
-            mujoco.mjv_connector(geom, kind, TRAIL_WIDTH, start, end)
-            first = scene.geoms[0]  # counts as a part of it, and so not as background
-            geom.objtype, geom.objid, geom.segid = first.objtype, first.objid, first.segid
-            scene.ngeom += 1
+        if (start != end).any():
+            _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, TRAIL, TRAIL_WIDTH, start, end)
+
+
+def _connect(
+    scene: mujoco.MjvScene,
+    kind: mujoco.mjtGeom,
+    colour: tuple[float, ...],
+    width: float,
+    start: np.ndarray,
+    end: np.ndarray,
+) -> None:
+    """Add a line or a capsule between two points (3,)."""
+    if scene.ngeom >= scene.maxgeom:
+        return
+    geom = scene.geoms[scene.ngeom]
+    mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(colour, np.float32))
+    mujoco.mjv_connector(geom, kind, width, start, end)
+    first = scene.geoms[0]  # counts as a part of it, and so not as background
+    geom.objtype, geom.objid, geom.segid = first.objtype, first.objid, first.segid
+    scene.ngeom += 1
 
 
 if __name__ == "__main__":
