@@ -66,7 +66,12 @@ def summarise(problem: Problem, state: State) -> dict[str, Any]:
         "parameter_error_last": error(state.simulation),
         "reality_evaluations": len(trials),
         "lp": learning_performance(
-            f_0 if np.isfinite(f_0) else 0.0, f_end, f_max, problem.controller_box.n, len(trials)
+            f_0 if np.isfinite(f_0) else 0.0 if maximise else f_max,
+            f_end,
+            f_max,
+            problem.controller_box.n,
+            len(trials),
+            maximise,
         ),
         "distance": problem.settings.compared,
         "fitness": problem.fitness.name,

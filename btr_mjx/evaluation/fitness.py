@@ -177,7 +177,9 @@ def delta_fitness_of(f_s: ArrayLike, f_r: ArrayLike) -> np.ndarray:
     return delta_of(f_s, f_r).mean(axis=-1)
 
 
-def learning_performance(f_0: float, f_end: float, f_max: float, dimension: int, evaluations: int) -> float:
+def learning_performance(
+    f_0: float, f_end: float, f_max: float, dimension: int, evaluations: int, maximise: bool = True
+) -> float:
     """Learning performance LP = IF d / e with IF = (f_end - f_0) / f_max, the paper's first footnote.
 
     Args:
@@ -186,6 +188,7 @@ def learning_performance(f_0: float, f_end: float, f_max: float, dimension: int,
       f_max: largest absolute fitness measured in reality, which normalises the improvement.
       dimension: d, number of controller parameters.
       evaluations: e, number of evaluations in reality.
+      maximise: whether larger fitness is better; else IF = (f_0 - f_end) / f_max.
 
     Returns:
       LP; 0 where f_max is 0.
@@ -196,4 +199,4 @@ def learning_performance(f_0: float, f_end: float, f_max: float, dimension: int,
     if evaluations < 1:
         raise InputError(f"evaluations: got {evaluations}, expected at least one evaluation in reality")
     improvement = (f_end - f_0) / abs(f_max) if f_max else 0.0
-    return float(improvement * dimension / evaluations)
+    return float((improvement if maximise else -improvement) * dimension / evaluations)

@@ -14,7 +14,7 @@ from btr_mjx.models.mjcf_checks import MAX_ASSET_BYTES, check_mjcf
 from btr_mjx.robots import Robot
 from btr_mjx.runs import atomic_write, note, read_json, read_limited, read_toml, write_json
 
-KEPT = "inputs"
+COPIES = "inputs"
 """Folder of the copies in a run folder."""
 
 _INDEX = "files.json"
@@ -56,11 +56,11 @@ def keep_files(folder: Path, named: Mapping[str, Sequence[Path]]) -> None:
     for setting, files in named.items():
         root = Path(os.path.commonpath([file.parent for file in files])).parent  # a robot is named by its folder
         for file in dict.fromkeys(files):
-            with atomic_write(folder / KEPT / setting / file.relative_to(root)) as copy:
+            with atomic_write(folder / COPIES / setting / file.relative_to(root)) as copy:
                 copy.write(read_limited(file, MAX_ASSET_BYTES))
         index[setting] = (Path(setting) / files[0].relative_to(root)).as_posix()
     if index:
-        write_json(folder / KEPT / _INDEX, index)  # last: the copies are there when it is
+        write_json(folder / COPIES / _INDEX, index)  # last: the copies are there when it is
 
 
 def kept_files(folder: Path) -> dict[str, Path]:
@@ -69,8 +69,8 @@ def kept_files(folder: Path) -> dict[str, Path]:
     Raises:
       DamagedFile: the list of copies was altered.
     """
-    index = folder / KEPT / _INDEX
-    return {name: folder / KEPT / path for name, path in read_json(index).items()} if index.is_file() else {}
+    index = folder / COPIES / _INDEX
+    return {name: folder / COPIES / path for name, path in read_json(index).items()} if index.is_file() else {}
 
 
 def _placed(file: Path) -> Path:

@@ -32,7 +32,7 @@ from btr_mjx.models.path_parameters import KEYS, PathParameter, read_bounds, rea
 from btr_mjx.models.paths import nearest_names, refuse_unknown_keys
 from btr_mjx.models.robot_checks import free_joints
 from btr_mjx.robots import Box, Robot, Sinusoids, hexapod, read_template
-from btr_mjx.runs import file_name, is_number, read_toml, toml_lines, toml_rows, toml_section
+from btr_mjx.runs import file_name, is_number, naming_lines, read_toml, toml_rows, toml_section
 
 _KEYS = ("name", "model", "base_body", "point", "duration", "keyframe", "fitness", "target", "speed_limit")
 _TABLES = ("parameter", "controller", "constants")
@@ -54,7 +54,7 @@ def load_robot(path: str | Path) -> Robot:
     file = file / "robot.toml" if file.is_dir() else file
     if file.suffix in (".xml", ".mjcf", ".j2"):
         raise InputError(f"{file}: a robot is a robot.toml, which names its MJCF; see docs/robot_file.md")
-    with toml_lines(file):
+    with naming_lines(file):
         return _load_robot(file)
 
 

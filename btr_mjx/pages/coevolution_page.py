@@ -21,8 +21,8 @@ DISTANCE_WORDS: Mapping[str, str] = {
 """What step 3 minimises, in words."""
 
 LEARNING_WORDS = (
-    "Learning performance: (best fitness of the last iteration − fitness of the first controller c_0) / largest "
-    "fitness measured, times the number of controller parameters over the number of trials; larger is better."
+    "Learning performance: by how much the best controller of the last iteration is better than the first one, c_0, / "
+    "largest fitness measured, times the number of controller parameters over the number of trials; larger is better."
 )
 """The paper's LP in words."""
 

@@ -51,7 +51,11 @@ def morphologies(robot: Robot, run: RunData) -> Figure | None:
         axes.set_axis_off()
         axes.set_title(title, fontsize=11)
         units = [f" {run.box.units[i]}" if run.box.units[i] else "" for i in own]
-        lengths = [f"{n}: {v:.2f}{unit}" for n, v, unit in zip(names, values, units, strict=True)]
+        told = names if title != "identified" else run.result["told"]["told"]
+        lengths = [
+            f"{n}: {v:.2f}{unit}" if n in told else f"{n}: not told"
+            for n, v, unit in zip(names, values, units, strict=True)
+        ]
         lines = [",  ".join(lengths[i : i + columns]) for i in range(0, len(lengths), columns)]
         axes.text(0.5, -0.03, "\n".join(lines), transform=axes.transAxes, ha="center", va="top", fontsize=size)
     return figure

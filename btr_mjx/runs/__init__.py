@@ -35,7 +35,7 @@ from btr_mjx.runs.progress_bar import StopRequest, graceful_interrupt, note, pro
 from btr_mjx.runs.python_files import installed_objects, load_object
 from btr_mjx.runs.resume_check import check_inputs, claimed_folder, is_unused
 from btr_mjx.runs.run_folder import IGNORED_FIELDS, RunFolder
-from btr_mjx.runs.toml_lines import toml_lines
+from btr_mjx.runs.toml_lines import naming_lines
 from btr_mjx.runs.toml_tables import check_keys, file_inside, file_name, is_number, read_toml, toml_rows, toml_section
 
 __all__ = [
@@ -66,6 +66,7 @@ __all__ = [
     "is_number",
     "is_unused",
     "load_object",
+    "naming_lines",
     "note",
     "package_version",
     "parse_json",
@@ -82,7 +83,6 @@ __all__ = [
     "read_toml",
     "say_progress",
     "to_plain",
-    "toml_lines",
     "toml_rows",
     "toml_section",
     "write_arrays",

@@ -13,7 +13,7 @@ _KEY = re.compile(r"\s*(?:\"([^\"]+)\"|'([^']+)'|([\w.-]+))\s*=")
 
 
 @contextmanager
-def toml_lines(path: Path) -> Iterator[None]:
+def naming_lines(path: Path) -> Iterator[None]:
     """Errors of input that begin with a TOML file's path also say the line, where `line_of` finds it.
 
     Raises:

@@ -92,5 +92,7 @@ def test_learning_performance_by_hand() -> None:
     # The footnote: IF = (f_end - f_0) / f_max, LP = IF d / e.
     assert learning_performance(2.0, 5.0, 6.0, dimension=36, evaluations=54) == pytest.approx(0.5 * 36 / 54)
     assert learning_performance(0.0, 0.0, 0.0, 36, 1) == 0.0
+    # From a distance of 0.9 m to one of 0.3 m.
+    assert learning_performance(0.9, 0.3, 0.9, 10, 20, maximise=False) == pytest.approx(2 / 3 * 10 / 20)
     with pytest.raises(InputError, match="evaluations"):
         learning_performance(0.0, 1.0, 1.0, 36, 0)

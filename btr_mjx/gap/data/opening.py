@@ -15,7 +15,7 @@ from btr_mjx.gap.data.lerobot.loading import load_lerobot
 from btr_mjx.gap.data.lists import listed
 from btr_mjx.gap.data.loading import ReadProgress, load_table
 from btr_mjx.gap.data.servo import SERVO_FILE, load_servo
-from btr_mjx.runs import toml_lines
+from btr_mjx.runs import naming_lines
 
 _MODELS = (".xml", ".mjcf")
 _NO_LOGS = ("readme.txt", "license.txt", "requirements.txt")
@@ -45,7 +45,7 @@ def open_dataset(folder: str | Path, progress: ReadProgress | None = None, logs:
         folder = folder.parent
     if logs or folder.is_file():
         return open_logs(folder, logs, progress)
-    with toml_lines(folder / DATASET_FILE), toml_lines(folder / SERVO_FILE):
+    with naming_lines(folder / DATASET_FILE), naming_lines(folder / SERVO_FILE):
         return _open_folder(folder, progress)
 
 

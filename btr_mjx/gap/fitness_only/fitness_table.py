@@ -33,8 +33,8 @@ from btr_mjx.runs import (
     check_keys,
     file_inside,
     is_number,
+    naming_lines,
     read_table,
-    toml_lines,
     toml_section,
     write_table,
 )
@@ -86,7 +86,7 @@ def load_fitness(folder: str | Path) -> FitnessTable:
       OSError: a file that cannot be read.
     """
     folder = Path(folder)
-    with toml_lines(folder if folder.name == DATASET_FILE else folder / DATASET_FILE):
+    with naming_lines(folder if folder.name == DATASET_FILE else folder / DATASET_FILE):
         return _load_fitness(folder)
 
 
