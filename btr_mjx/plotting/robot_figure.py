@@ -51,7 +51,7 @@ def morphologies(robot: Robot, run: RunData) -> Figure | None:
         axes.set_axis_off()
         axes.set_title(title, fontsize=11)
         units = [f" {run.box.units[i]}" if run.box.units[i] else "" for i in own]
-        told = names if title != "identified" else run.result["told"]["told"]
+        told = names if title != "identified" else run.result.get("told", {}).get("told", names)
         lengths = [
             f"{n}: {v:.2f}{unit}" if n in told else f"{n}: not told"
             for n, v, unit in zip(names, values, units, strict=True)
