@@ -17,7 +17,7 @@ from btr_mjx.scan import ScanConfig
 
 ROOT = Path(__file__).parents[2]
 CONFIGS = (CoevolveConfig, ScanConfig, DiagnoseConfig, ReplayConfig, ReportConfig, DoctorConfig)
-FLAGS = {field.name.replace("_", "-") for config in CONFIGS for field in dataclasses.fields(config)} | {"help"}
+FLAGS = {field.name.replace("_", "-") for config in CONFIGS for field in dataclasses.fields(config)} | {"help", "quiet"}
 FLAGS |= {f"no-{flag}" for flag in FLAGS}
 OTHERS = {
     "scheduler-file",
