@@ -112,7 +112,7 @@ def record(model: mujoco.MjModel, command: np.ndarray, name: str) -> Recording:
 
 def cosines(recordings: Sequence[Recording]) -> list[float]:
     """Absolute cosines of the signatures of `PAIRS`."""
-    data = prepare(recordings, "linear", SIGMA, Span(3, 6))
+    data = prepare(recordings, SIGMA, Span(3, 6))
     first = np.linspace(4, min(len(r.time) for r in recordings) - WINDOW - 6, WINDOWS).astype(int)
     of = np.repeat(np.arange(len(recordings)), WINDOWS)
     windows = Windows(data, of, np.tile(first, len(recordings)), WINDOW)

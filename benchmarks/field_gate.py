@@ -32,7 +32,7 @@ from naming_gate import CODE, mcnemar
 from btr_mjx.errors import cli_errors
 from btr_mjx.gap.data import open_dataset
 from btr_mjx.gap.inference import identify
-from btr_mjx.gap.preflight import preflight, refuse_errors
+from btr_mjx.gap.preflight import checked, refuse_errors
 from btr_mjx.gap.results import as_result, detail_sentences, verdict_sentence
 from btr_mjx.runs import note, read_json, write_json
 
@@ -80,7 +80,7 @@ def solve(folder: Path) -> dict[str, Any]:
     """Solve a case from its folder alone, as the command `diagnose` does."""
     begun, wall = time.process_time(), time.monotonic()
     dataset = open_dataset(folder)
-    findings = preflight(dataset)
+    dataset, findings = checked(dataset)
     refuse_errors(findings)
     result = as_result(identify(dataset), dataset)
     keys = ("verdict", "effects", "equivalent", "gap", "unexplained", "share", "lack_of_fit", "interpolation", "where")

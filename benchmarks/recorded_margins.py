@@ -41,7 +41,6 @@ def recorded_margin(
     truth: Hypothesis,
     rival: Hypothesis,
     recordings: Sequence[Recording],
-    interpolation: str,
     sigma: np.ndarray,
     span: float,
 ) -> float:
@@ -51,7 +50,6 @@ def recorded_margin(
       truth: one hypothesis.
       rival: the other hypothesis.
       recordings: the recordings.
-      interpolation: interpolation of their commands.
       sigma: (2 nv,) noise of positions and velocities.
       span: length of a window [s].
 
@@ -61,7 +59,7 @@ def recorded_margin(
     values = []
     for hypothesis in (truth, rival):
         # Starting states that are estimated with one hypothesis would favour it.
-        found = [in_windows([hypothesis], recording, interpolation, sigma, span) for recording in recordings]
+        found = [in_windows([hypothesis], recording, sigma, span) for recording in recordings]
         parts = [(residuals[0], columns[0]) for residuals, columns in (own for own in found if own is not None)]
         if not parts:
             return 0.0
@@ -117,6 +115,6 @@ def recordings_needed(
     recordings: list[Recording] = []
     for i in order[:max_recordings]:
         recordings.append(noisy_recording(truth, dataset, commands[i], sigma, rng))
-        if recorded_margin(truth, rival, recordings, dataset.interpolation, sigma, span) > DECISIVE_MARGIN:
+        if recorded_margin(truth, rival, recordings, sigma, span) > DECISIVE_MARGIN:
             return len(recordings)
     return max_recordings + 1

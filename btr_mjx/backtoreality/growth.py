@@ -18,7 +18,7 @@ import numpy as np
 from btr_mjx.backtoreality.fitness_growth import seek_by_fitness
 from btr_mjx.backtoreality.run_state import Problem, State
 from btr_mjx.evaluation import evaluate
-from btr_mjx.gap.data import Dataset, Recording
+from btr_mjx.gap.data import Dataset, Recording, Split
 from btr_mjx.gap.effects import EFFECTS, Scales, candidates
 from btr_mjx.gap.inference import identify
 from btr_mjx.gap.results import Diagnosis, FoundEffect, hypothesis_in_words, resolve_effect, write_world
@@ -148,10 +148,11 @@ def seek(
     model = general_model(problem.robot, state.simulation)
     used = recordings[-_MOST_RECORDINGS:]
     held_out = max(1, len(used) // 3)
-    split = [replace(r, model=model, split="test" if i >= len(used) - held_out else "fit") for i, r in enumerate(used)]
+    sides: list[Split] = ["test" if i >= len(used) - held_out else "fit" for i in range(len(used))]
+    split = [replace(r, model=model, split=side, interpolation="cubic") for r, side in zip(used, sides, strict=True)]
     # What is searched in S may move along with an effect.
     believed = unknown_parameters(problem, state.simulation)
-    data = Dataset(Path(), model, Path("robot.xml"), "", believed, tuple(split), "cubic")
+    data = Dataset(Path(), model, Path("robot.xml"), "", believed, tuple(split))
     return identify(data, max_effects=most, seed=problem.seed, progress=note, counter=counter)
 
 

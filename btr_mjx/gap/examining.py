@@ -31,7 +31,7 @@ def examine(
       logs: files of recordings.
 
     Returns:
-      The dataset, and the findings of the preflight checks.
+      The dataset as it is to be searched, and the findings of the preflight checks.
 
     Raises:
       InputError: the dataset cannot be read.
@@ -58,9 +58,9 @@ def examine(
         checks = progress(description="checks", show=None if show else False, bar_format="{desc}")
         checks.leave = False
         stack.enter_context(checks)
-        from btr_mjx.gap.preflight import preflight
+        from btr_mjx.gap.preflight import checked
 
-        return dataset, preflight(dataset, [effect.name for effect in library])
+        return checked(dataset, [effect.name for effect in library])
 
 
 def examine_earlier(

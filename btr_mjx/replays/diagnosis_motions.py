@@ -11,6 +11,7 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, Recording, open_dataset
 from btr_mjx.gap.effects import of_forces, selected_effects
+from btr_mjx.gap.preflight import checked
 from btr_mjx.gap.results import effect_title, found_effects, resolve_effect
 from btr_mjx.gap.simulate import Command, Segments, World, simulate
 from btr_mjx.models import difference, parse_path
@@ -43,7 +44,7 @@ def diagnosis_replay(folder: Path, frames: int, seconds: float) -> Replay:
     drawn = _drawn_model(dataset, model)
     row = [ReplayedMotion("recording", recording.name, "", drawn, measured, measured=True)]
     for (title, world), detail in zip(worlds.items(), details, strict=True):
-        qpos = open_loop_positions(world, recording, dataset.interpolation, times)
+        qpos = open_loop_positions(world, recording, times)
         error = np.abs(difference(model, measured, qpos)).mean()
         number = f"off by {error:.2g} {unit}".rstrip() if np.isfinite(error) else "diverged"
         row.append(ReplayedMotion(title, detail, number, drawn, hold_last_valid(qpos)))
@@ -76,6 +77,7 @@ def compared_worlds(folder: Path) -> tuple[Dataset, Recording, dict[str, World]]
         folder / "demo" if config.get("demo") else Path(config["dataset"]), logs=config.get("logs") or ()
     )
     assert isinstance(dataset, Dataset)
+    dataset, _ = checked(dataset)
     if not config.get("demo"):
         check_inputs(folder, {"the dataset": content_digest(dataset)})
     recording = (dataset.test or dataset.recordings)[0]
@@ -85,12 +87,12 @@ def compared_worlds(folder: Path) -> tuple[Dataset, Recording, dict[str, World]]
     return dataset, recording, worlds
 
 
-def open_loop_positions(world: World, recording: Recording, interpolation: Any, times: np.ndarray) -> np.ndarray:
+def open_loop_positions(world: World, recording: Recording, times: np.ndarray) -> np.ndarray:
     """Positions (F, nq) of a world that starts as a recording and gets its command; NaN once it diverged.
 
     Times (F,) are after its first sample [s].
     """
-    command = Command(recording.time, recording.ctrl, interpolation)
+    command = Command(*recording.commands, recording.interpolation)
     start = Segments(
         recording.time[:1], recording.qpos[:1], recording.qvel[:1], times[None], (command,), np.array([0])
     )  # fmt: skip

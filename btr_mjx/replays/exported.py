@@ -59,11 +59,11 @@ def export_diagnosis_motions(folder: Path, kinds: Sequence[str]) -> list[Path]:
 
 def _motions(folder: Path) -> tuple[list[RecordedCurves], list[RecordedPoses]]:
     """The first held-out recording, measured and simulated from its first sample, and the stretches of the page."""
-    dataset, recording, worlds = compared_worlds(folder)
+    _, recording, worlds = compared_worlds(folder)
     model, time = recording.model, recording.time
     qpos = {"measured": recording.qpos}
     for title, world in worlds.items():
-        simulated = open_loop_positions(world, recording, dataset.interpolation, time - time[0])
+        simulated = open_loop_positions(world, recording, time - time[0])
         qpos[title.removesuffix(" model")] = simulated
     names = [name.removeprefix("qpos/") for name in state_columns(model)[0]]
     units = dict(zip(names, (unit for kind in model.jnt_type for unit in _UNITS[int(kind)]), strict=True))

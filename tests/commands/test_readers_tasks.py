@@ -97,7 +97,7 @@ def test_a_plotjuggler_table_of_three_clocks(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(ARM)
     (tmp_path / "run.csv").write_text("\n".join(text))
     dataset, findings = findings_of(tmp_path)
-    assert dataset.interpolation == "hold"
+    assert dataset.recordings[0].interpolation == "hold"
     assert all(one.qvel_measured.all() for one in dataset.recordings)
     assert sum(len(one.time) for one in dataset.recordings) > 740
     assert told(findings, "were taken in the order of the model: shoulder, elbow")

@@ -113,7 +113,7 @@ def test_a_case_is_a_dataset_without_the_truth(tmp_path: Path, verdict: str) -> 
     dataset = load(tmp_path)
     assert truth.verdict == verdict
     assert (len(dataset.fit), len(dataset.test)) == (2, 1)
-    assert dataset.interpolation == "cubic"
+    assert dataset.recordings[0].interpolation == "cubic"
     assert (truth.visible > 0) == (verdict != "none")
     assert bool(truth.effects) == (verdict == "effect")
     assert bool(truth.outside) == (verdict == "unexplained")

@@ -74,7 +74,17 @@ def recording(
         index = np.unique(index)
     time = index * 1e-4
     seen = states[index] + noise * SIGMA * rng.standard_normal((len(index), 4))
-    return Recording(name, time, sent.at(time), seen[:, :2], seen[:, 2:], np.ones(2, bool), split, believed or arm())
+    return Recording(
+        name,
+        time,
+        sent.at(time),
+        seen[:, :2],
+        seen[:, 2:],
+        np.ones(2, bool),
+        split,
+        believed or arm(),
+        interpolation="cubic",
+    )
 
 
 def dataset(change=None, seed=0, fit=3, test=2, parameters: tuple[PathParameter, ...] = (), noise=1.0):
@@ -84,12 +94,12 @@ def dataset(change=None, seed=0, fit=3, test=2, parameters: tuple[PathParameter,
         for i in range(fit + test)
     )
     known = Noise(SIGMA[:2].copy(), SIGMA[2:].copy())
-    return Dataset(Path(), believed, Path("arm.xml"), XML, parameters, recordings, "cubic", {}, known)
+    return Dataset(Path(), believed, Path("arm.xml"), XML, parameters, recordings, noise=known)
 
 
 def arm_windows() -> Windows:
     """Four windows of two recordings of the arm, linearised around it."""
-    data = prepare([recording(f"r{i}", seed=i) for i in range(2)], "cubic", SIGMA, Span(5, 6))
+    data = prepare([recording(f"r{i}", seed=i) for i in range(2)], SIGMA, Span(5, 6))
     out = Windows(data, np.array([0, 0, 1, 1]), np.array([10, 150, 20, 200]), 30)
     out = linearise(out, World.of)
     return out

@@ -92,7 +92,7 @@ def moved_arm(
             rows.append(reports * data.actuator_force + 0.01 * rng.standard_normal(2))
         torques = dict(zip(part_names(model, "actuator"), np.transpose(rows), strict=True))
     ctrl, own = sent.at(time - late), believed or arm()
-    return Recording(name, time, ctrl, seen[:, :2], seen[:, 2:], measured, split, own, torques)  # type: ignore[arg-type]
+    return Recording(name, time, ctrl, seen[:, :2], seen[:, 2:], measured, split, own, torques, interpolation="cubic")  # type: ignore[arg-type]
 
 
 def arm_dataset(seed: int, fit: int = 3, test: int = 2, known: bool = True, **how) -> Dataset:
@@ -103,12 +103,12 @@ def arm_dataset(seed: int, fit: int = 3, test: int = 2, known: bool = True, **ho
         for i in range(fit + test)
     )
     noise = Noise(SIGMA[:2].copy(), SIGMA[2:].copy()) if known else None
-    return Dataset(Path(), believed, Path("arm.xml"), XML, (), recordings, "cubic", {}, noise)
+    return Dataset(Path(), believed, Path("arm.xml"), XML, (), recordings, noise=noise)
 
 
 def arm_stretches(recordings: Sequence[Recording], exact: bool = False, span: Span | None = None) -> Stretches:
     """Stretches of recordings; around what was measured where that is exact."""
-    out = spread_stretches(prepare(recordings, "cubic", SIGMA, span or Span(5, 6)))
+    out = spread_stretches(prepare(recordings, SIGMA, span or Span(5, 6)))
     return out.about(out.measured_q, out.measured_v) if exact else out
 
 
@@ -136,7 +136,7 @@ def shortened(stretches: Stretches, count: int, intervals: int) -> Stretches:
 
 def exact_stretch(recording: Recording, first: int, count: int, drives: Sequence[int] = ()) -> Stretches:
     """One stretch of so many intervals, around what was measured, with forces that some drives reported."""
-    data = prepare([recording], "cubic", SIGMA, Span(5, 6))
+    data = prepare([recording], SIGMA, Span(5, 6))
     own = slice(first, first + count + 1)
     time, q, v = (x[None, own] for x in (recording.time, recording.qpos, recording.qvel))
     act, actuators = np.zeros((1, count + 1, 0)), np.array(drives, int)

@@ -112,7 +112,7 @@ class System:
         qvel = qvel + self.sigma[1] * rng.standard_normal(qvel.shape)
         time = np.arange(count) / self.rate
         seen = np.full(model.nv, self.measured)
-        return Recording(name, time, ctrl(time), qpos, qvel, seen, split, believed)  # type: ignore[arg-type]
+        return Recording(name, time, ctrl(time), qpos, qvel, seen, split, believed, interpolation="cubic")  # type: ignore[arg-type]
 
     def dataset(self, fit: int = 3, test: int = 2, seed: int = 0) -> Dataset:
         """Recordings of reality, with the believed model."""
@@ -120,7 +120,7 @@ class System:
         recordings = tuple(
             self.recording(f"r{i}", 100 * seed + i, "fit" if i < fit else "test", believed) for i in range(fit + test)
         )
-        return Dataset(Path("system"), believed, Path("model.xml"), self.xml, (), recordings, "cubic")
+        return Dataset(Path("system"), believed, Path("model.xml"), self.xml, (), recordings)
 
 
 def _swung(model: mujoco.MjModel, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,8 @@ from btr_mjx.gap.data.columns.model_columns import (
     state_columns,
 )
 from btr_mjx.gap.data.columns.remedy import Answer, quoted
-from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, known_of, noise_of, read_header
+from btr_mjx.gap.data.control import INTERPOLATIONS, Interpolation
+from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, known_of, noise_of, read_header
 from btr_mjx.gap.data.files.readers import Reader, read_columns
 from btr_mjx.gap.data.files.table import LogTable, log_table
 from btr_mjx.gap.data.lists import counted, listed
@@ -23,12 +24,13 @@ from btr_mjx.gap.data.loading import load, with_bases, with_imu
 from btr_mjx.gap.data.opening import open_dataset, open_logs
 from btr_mjx.gap.data.recordings.held import Held, bends, held, stairs
 from btr_mjx.gap.data.recordings.noise import Noise, estimate_noise, quantisation_noise, reduced_noise
-from btr_mjx.gap.data.recordings.recording import Recording, StateEstimate, base_unmeasured, make_recording
+from btr_mjx.gap.data.recordings.recording import Recording, Split, StateEstimate, base_unmeasured, make_recording
 from btr_mjx.gap.data.recordings.wraps import Wrap, find_wraps
 from btr_mjx.gap.data.writing import DatasetDescription, Format, save_dataset
 
 __all__ = [
     "DATASET_FILE",
+    "INTERPOLATIONS",
     "Answer",
     "Dataset",
     "DatasetDescription",
@@ -39,6 +41,7 @@ __all__ = [
     "Noise",
     "Reader",
     "Recording",
+    "Split",
     "StateEstimate",
     "Wrap",
     "base_unmeasured",

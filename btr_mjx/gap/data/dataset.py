@@ -17,8 +17,11 @@
     overrides = {"body:arm/mass" = 0.5} # optional: numbers that differ in this recording
 
     [control]
-    interpolation = "linear"            # of the command between samples: "hold", "linear" or "cubic"; by default
-                                        # "hold" for stairs, "cubic" for smooth commands, else "linear"
+    interpolation = "linear"            # of the command between samples: "hold", "linear" or "cubic", or a table of
+                                        # these by recording, { walk_1 = "hold" }; by default "hold" for stairs, "cubic"
+                                        # for smooth commands, else "linear"; or "hold" where that predicts better
+    shift = -0.12                       # optional: seconds that are added to the times of the commands, where their
+                                        # clock differs; or a table of these by recording
     measured = "force"                  # optional: measured forces force/<actuator> drive the model, and the robot's
                                         # controllers may be unknown; by default where a log has no commands
 
@@ -58,6 +61,8 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.data.control import Control, read_control
+from btr_mjx.gap.data.inferred import control_lines, inferred_toml
 from btr_mjx.gap.data.lerobot.scales import JointScale
 from btr_mjx.gap.data.measured_forces import driven_by_forces
 from btr_mjx.gap.data.model_file import load_model
@@ -71,9 +76,6 @@ DATASET_FILE = "dataset.toml"
 TABLES = ("model", "parameter", "recording", "control", "tolerances", "noise", "columns", "units", "topics")
 """Tables that dataset.toml may hold."""
 
-Interpolation = Literal["hold", "linear", "cubic"]
-"""The command between two samples: that of the earlier one, a straight line, a cubic spline."""
-
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
@@ -86,13 +88,14 @@ class Dataset:
       spec_xml: MJCF text of the model.
       parameters: parameters that may be refitted.
       recordings: all recordings, in the order of the file.
-      interpolation: of the command between samples.
+      control: what dataset.toml says about commands.
       tolerances: 1 sigma of residual calibration errors, by effect name.
       noise: sensor noise as given; None if it must be estimated.
       notes: warnings of the loader, reported by preflight.
-      inferred: text of the dataset.toml that was inferred from the logs; "" where there is one.
+      described: model and recordings as a dataset.toml has them, where these were given instead of one; else "".
       sources: names of columns in the logs, by name of the model; empty where they have the model's names.
       scales: how numbers of a LeRobot dataset became positions, by joint; empty for other formats.
+      coarse_step: time step of the model as written [s], where `model` and the recordings' have a finer one; else None.
       forces: whether measured forces of the actuators drive the model, instead of commands; `model` has motors then.
     """
 
@@ -102,14 +105,25 @@ class Dataset:
     spec_xml: str
     parameters: tuple[PathParameter, ...]
     recordings: tuple[Recording, ...]
-    interpolation: Interpolation = "linear"
+    control: Control = field(default_factory=Control)
     tolerances: Mapping[str, float] = field(default_factory=dict)
     noise: Noise | None = None
     notes: tuple[str, ...] = ()
-    inferred: str = ""
+    described: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
     scales: Mapping[str, JointScale] = field(default_factory=dict)
     forces: bool = False
+    coarse_step: float | None = None
+
+    @property
+    def inferred(self) -> str:
+        """The dataset.toml that says what was inferred from the logs; "" where there is one."""
+        if not self.described:
+            return ""
+        told = [*self.notes, *(line for one in self.recordings for line in one.notes)]
+        control = control_lines(self.recordings, self.control.shift, self.forces)
+        scales = [scale.lines() for scale in self.scales.values()]
+        return inferred_toml(self.described, self.folder, told, control, scales)
 
     @property
     def fit(self) -> tuple[Recording, ...]:
@@ -160,15 +174,9 @@ def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence
     check_keys(about, ("file", "unmeasured"), f"{path}: [model]", notes)
     model_file = file_inside(about, "file", folder, f"{path}: [model]")
     model, spec_xml = load_model(model_file, folder)
-    control = table.get("control", {})
-    check_keys(control, ("interpolation", "measured"), f"{path}: [control]", notes)
-    if (measured := control.get("measured", "command")) not in ("command", "force"):
-        raise InputError(f"{path}: [control] measured = {measured!r}: expected 'command' or 'force'")
-    if measured == "force":
+    control = read_control(table, path, notes)
+    if control.measured == "force":
         model = driven_by_forces(model, str(path))
-    interpolation = control.get("interpolation", "linear")
-    if interpolation not in ("hold", "linear", "cubic"):
-        raise InputError(f"{path}: interpolation {interpolation!r}: expected 'hold', 'linear' or 'cubic'")
     return Dataset(
         folder=folder,
         model=model,
@@ -179,8 +187,8 @@ def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence
             for i, row in enumerate(toml_rows(table, "parameter", path))
         ),
         recordings=(),
-        interpolation=interpolation,
-        forces=measured == "force",
+        control=control,
+        forces=control.measured == "force",
         tolerances=_tolerances(table.get("tolerances", {}), path),
         noise=read_noise(table.get("noise", {}), model, f"{path}: [noise]", notes),
         notes=tuple(notes),

@@ -15,7 +15,8 @@ from btr_mjx.gap.data.columns.plan import LogOptions, read_log
 from btr_mjx.gap.data.columns.remedy import Answer
 from btr_mjx.gap.data.columns.required import CommandsMissing
 from btr_mjx.gap.data.columns.units import UNITS, known_unit
-from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, read_header
+from btr_mjx.gap.data.control import Control, Interpolation
+from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, read_header
 from btr_mjx.gap.data.files.readers import count_rows, is_log
 from btr_mjx.gap.data.files.ros_bag import TOPICS
 from btr_mjx.gap.data.lists import listed
@@ -69,7 +70,7 @@ def load_table(
     try:
         return _load_table(head, table, path, progress, text)
     except CommandsMissing as error:
-        if "measured" in table.get("control", {}):
+        if head.control.measured:
             raise
         model = driven_by_forces(head.model, str(path))
         note = f"{error}, but forces of the actuators: they drive the model, and controllers may be unknown"
@@ -83,31 +84,30 @@ def _load_table(
     notes, listed_rows = list(head.notes), toml_rows(table, "recording", path)
     if not listed_rows:
         raise InputError(f'{path}: there is no [[recording]]; add one with file = "..."')
-    stated = table.get("control", {}).get("interpolation")
-    options = _options(table, head, path, notes, Answer(path, text), stated in (None, "hold"))
+    options = _options(table, head, path, notes, Answer(path, text))
     places = [f"{path}: [[recording]] {i + 1}" for i in range(len(listed_rows))]
     files = [_files(row, head.folder, where) for row, where in zip(listed_rows, places, strict=True)]
     parts = shares([max(map(count_rows, group)) for group in files])
     advance = _advance([file for group in files for file in group], progress)
-    groups = []
+    groups, names = [], list[str]()
     for row, own, share, where in zip(listed_rows, files, parts, places, strict=True):
         model, name = _model_and_name(row, head, own, where, notes)
+        names.append(name)
+        stated = head.control.interpolation_of(name)
+        said = replace(options, hold=stated in (None, "hold"), shift=head.control.shift_of(name))
         if share is None:
-            groups.append(_whole(own, model, name, options, advance))
+            groups.append(_whole(own, model, name, said, advance))
         else:
-            groups.append(_stretches(own, model, name, options, advance, share, notes))
+            groups.append(_stretches(own, model, name, said, advance, share, notes))
+    head.control.check_names(names, str(path))
     groups = _without_lagging_velocities(groups, notes)
     groups = with_bases(groups, notes)
     recordings = _split(groups, [row.get("split") for row in listed_rows], str(path), parts[0] is None)
-    interpolation = head.interpolation if stated else _suitable_interpolation(recordings, notes)
-    return replace(
-        head, recordings=tuple(recordings), notes=tuple(notes), interpolation=interpolation, sources=options.sources
-    )
+    recordings = _with_interpolation(recordings, head.control, notes)
+    return replace(head, recordings=tuple(recordings), notes=tuple(notes), sources=options.sources)
 
 
-def _options(
-    table: Mapping[str, Any], head: Dataset, path: Path, notes: list[str], answer: Answer, hold: bool
-) -> LogOptions:
+def _options(table: Mapping[str, Any], head: Dataset, path: Path, notes: list[str], answer: Answer) -> LogOptions:
     """What the tables [columns], [units], [topics] and [model] say about logs."""
 
     def texts(key: str) -> Mapping[str, str]:
@@ -125,7 +125,7 @@ def _options(
     if not isinstance(unmeasured, list) or not all(name in names for name in unmeasured):
         raise InputError(f"{path}: [model] unmeasured = {unmeasured!r}: expected a list of joints, of {listed(names)}")
     stated = {name: unit for name, unit in units.items() if unit}
-    return LogOptions(texts("columns"), texts("topics"), unmeasured, stated, answer, hold, head.forces)
+    return LogOptions(texts("columns"), texts("topics"), unmeasured, stated, answer, forces=head.forces)
 
 
 def _files(row: Mapping[str, Any], folder: Path, where: str) -> list[Path]:
@@ -170,7 +170,7 @@ def _whole(
     """A recording, or its parts between holes."""
     notes: list[str] = []
     tables = read_log(files, model, options, notes, advance)
-    found = make_recordings(tables, model, ", ".join(map(str, files)), name, options.hold)
+    found = make_recordings(tables, model, ", ".join(map(str, files)), name, options.hold, options.shift)
     return [replace(one, notes=(*notes, *one.notes)) for one in found]
 
 
@@ -185,10 +185,12 @@ def _stretches(
 ) -> list[Recording]:
     """Stretches of a long recording."""
     found, file = list[Recording](), ", ".join(map(str, files))
-    for columns in read_stretches(files, share, model, notes, advance, options):
+    pieces, shift = read_stretches(files, share, model, notes, advance, options)
+    for columns in pieces:
         start = float(columns["time"][0])
+        where, own = f"{file} from {start:.6g} s on", f"{name} at {start:.6g} s"
         try:
-            found += make_recordings([columns], model, f"{file} from {start:.6g} s on", f"{name} at {start:.6g} s")
+            found += [replace(one, log=name) for one in make_recordings([columns], model, where, own, shift=shift)]
         except EmptyRecording as error:
             notes.append(f"left out: {error}")
     if not found:
@@ -268,19 +270,34 @@ def _without_lagging_velocities(groups: Sequence[Sequence[Recording]], notes: li
     return [[mended(one) for one in group] for group in groups]
 
 
-def _suitable_interpolation(recordings: Sequence[Recording], notes: list[str]) -> Interpolation:
-    """The interpolation of commands for which dataset.toml names none."""
+def _with_interpolation(recordings: Sequence[Recording], control: Control, notes: list[str]) -> list[Recording]:
+    """Recordings with the interpolation that dataset.toml says, or else that which fits the commands of each."""
+    out, said = list(recordings), dict[str, list[str]]()
+    for log in dict.fromkeys(one.log for one in recordings):
+        own = [i for i, one in enumerate(recordings) if one.log == log]
+        interpolation = control.interpolation_of(log)
+        if interpolation is None:
+            interpolation, why = suitable_interpolation([recordings[i] for i in own])
+            said.setdefault(why, []).append(log)
+        for i in own:
+            out[i] = replace(out[i], interpolation=interpolation)
+    for why, logs in said.items():
+        if why:
+            notes.append(why if sum(map(len, said.values())) == len(logs) else f"{listed(logs)}: {why}")
+    return out
+
+
+def suitable_interpolation(recordings: Sequence[Recording]) -> tuple[Interpolation, str]:
+    """The interpolation that fits the commands of a recording's parts, and why; "" where nothing speaks for another."""
     if any(one.held_commands for one in recordings):
-        notes.append('commands come at a rate of their own: interpolation = "hold" was chosen')
-        return "hold"
+        return "hold", 'commands come at a rate of their own: interpolation = "hold" was chosen'
     found = stairs([r.commands[1] for r in recordings])
     if found is None:
-        return "cubic" if bends([r.commands for r in recordings]) else "linear"
-    notes.append(
+        return ("cubic" if bends([r.commands for r in recordings]) else "linear"), ""
+    return "hold", (
         f"commands are stairs (they change every {found.every:.3g}th row, never in two rows that follow each other): "
         'interpolation = "hold" is used; put it into [control] to say so'
     )
-    return "hold"
 
 
 def _advance(files: Sequence[Path], progress: ReadProgress | None) -> Advance:

@@ -129,7 +129,7 @@ def open_logs(model: str | Path, logs: Sequence[str | Path], progress: ReadProgr
     why = f"was not read; to use it, give {folder}"
     first = f"{where} {why}" if where.is_file() else f"there is no {DATASET_FILE}"
     notes = f"{first}; what was inferred is listed here, and written as {DATASET_FILE} into the folder of a run"
-    return replace(data, notes=(notes, *data.notes), inferred=_inferred(text, data))
+    return replace(data, notes=(notes, *data.notes), described=text)
 
 
 def _described(model: str, rows: Sequence[str]) -> str:
@@ -143,19 +143,6 @@ def _read(head: Dataset, text: str, where: Path) -> Dataset | None:
         return load_table(head, tomllib.loads(text), where, text=text)
     except InputError:
         return None
-
-
-def _inferred(text: str, data: Dataset) -> str:
-    """The dataset.toml of what was inferred, with all choices as comments."""
-    told = dict.fromkeys([*data.notes, *(line for one in data.recordings for line in one.notes)])
-    model, _, rest = text.rstrip().partition("\n\n")
-    blocks = [
-        f"# Inferred from the files. To change it, copy it to {data.folder} and give that folder to diagnose.",
-        *(f"# {line}" for line in told),
-    ]
-    control = f"[control]\ninterpolation = {quoted(data.interpolation)}" + '\nmeasured = "force"' * data.forces
-    scales = ["\n".join(scale.lines()) for scale in data.scales.values()]
-    return "\n\n".join(["\n".join(blocks), model, control, rest, *scales]) + "\n"
 
 
 def _inside(folder: Path) -> tuple[Path, list[Path]]:

@@ -10,7 +10,8 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.model_columns import control_columns, state_columns
-from btr_mjx.gap.data.dataset import DATASET_FILE, Interpolation
+from btr_mjx.gap.data.control import Interpolation
+from btr_mjx.gap.data.dataset import DATASET_FILE
 from btr_mjx.gap.data.recordings.noise import Noise, noise_as_table
 from btr_mjx.gap.data.recordings.recording import Recording
 from btr_mjx.models import PathParameter

@@ -139,9 +139,9 @@ def simulate_recording(
     good = np.isfinite(states).all(1)
     last = len(time) if good.all() else max(int(np.argmin(good)), 2)
     qpos, qvel = states[:last, : model.nq], states[:last, model.nq :]
-    return Recording(
-        "proposal", time[:last], command.at(time[:last]), qpos, qvel, np.ones(model.nv, bool), "fit", model
-    )
+    known, kind = np.ones(model.nv, bool), command.interpolation
+    ctrl = command.at(time[:last])
+    return Recording("proposal", time[:last], ctrl, qpos, qvel, known, "fit", model, interpolation=kind)
 
 
 def expected_margins(
@@ -166,7 +166,7 @@ def expected_margins(
       Differences by pair of indices (i, j), i < j.
     """
     recording = simulate_recording(survivors[0], dataset, command, counter)
-    found = in_windows(survivors, recording, dataset.interpolation, sigma, span, counter)
+    found = in_windows(survivors, recording, sigma, span, counter)
     if found is None:
         return {(i, j): 0.0 for i in range(len(survivors)) for j in range(i + 1, len(survivors))}
     residuals, columns = found
@@ -196,14 +196,13 @@ def after_fit(residual: np.ndarray, columns: np.ndarray) -> float:
 def in_windows(
     hypotheses: Sequence[Hypothesis],
     recording: Recording,
-    interpolation: str,
     sigma: np.ndarray,
     span: float,
     counter: Counter | None = None,
 ) -> tuple[list[np.ndarray], list[np.ndarray]] | None:
     """Residuals (W, R) of hypotheses in windows, and derivatives (P, W, R) by their parameters; None if too short."""
     interval = float(np.median(np.diff(recording.time)))
-    data = prepare([recording], interpolation, sigma, Span(3, 6))
+    data = prepare([recording], sigma, Span(3, 6))
     k = max(6, min(round(span / interval), len(recording.time) - 6))
     last = len(recording.time) - 1 - k
     if last < 4:

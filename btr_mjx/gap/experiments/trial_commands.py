@@ -54,7 +54,7 @@ def random_commands(dataset: Dataset, rng: np.random.Generator, count: int) -> l
         limited = _limited(model)
         low = np.where(limited, np.maximum(low, _range(model)[0]), low)
         high = np.where(limited, np.minimum(high, _range(model)[1]), high)
-        out.append(Command(at, np.clip(values, low, high), dataset.interpolation))
+        out.append(Command(at, np.clip(values, low, high), recording.interpolation))
     return out
 
 

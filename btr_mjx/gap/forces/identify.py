@@ -109,7 +109,7 @@ def prepare_forces(dataset: Dataset) -> PreparedForces | None:
     noise = noise_of(dataset)
     sigma = np.concatenate([noise.qpos, noise.qvel])
     span = best_span(dataset.model, [track_of(r) for r in dataset.recordings], sigma)
-    fit, test = (prepare(side, dataset.interpolation, sigma, span) for side in (dataset.fit, dataset.test))
+    fit, test = (prepare(side, sigma, span) for side in (dataset.fit, dataset.test))
     touching = np.concatenate([own for side in (fit, test) for own in contact_samples(side, Counter())])
     return None if touching.mean() > _TOUCHES else PreparedForces(dataset, fit, test, sigma)
 

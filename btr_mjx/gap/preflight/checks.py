@@ -13,14 +13,15 @@ import numpy as np
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, Noise, base_unmeasured, counted, listed, noise_of
 from btr_mjx.gap.preflight.conventions import position_conventions
-from btr_mjx.gap.preflight.drift import clock_drift
 from btr_mjx.gap.preflight.excitation import NO_GROUND, JointTrack, joint_tracks, moves, unexcited_effects
 from btr_mjx.gap.preflight.findings import DEGREES_REMEDY, Finding, Level
 from btr_mjx.gap.preflight.imu import imu_conventions
 from btr_mjx.gap.preflight.repeats import angle_jumps, held_commands, held_positions
 from btr_mjx.gap.preflight.reported_torques import reported_torques
 from btr_mjx.gap.preflight.stability import stability
-from btr_mjx.gap.preflight.timing import response_delays, sampling
+from btr_mjx.gap.preflight.timing.choices import timed
+from btr_mjx.gap.preflight.timing.drift import clock_drift
+from btr_mjx.gap.preflight.timing.sampling import response_delays, sampling
 from btr_mjx.gap.preflight.undecided import undecided_signs
 from btr_mjx.gap.preflight.velocities import velocity_conventions
 from btr_mjx.models import part_names
@@ -44,6 +45,11 @@ _NO_MOTION = (
 
 
 def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Finding]:
+    """Findings of `checked`."""
+    return checked(dataset, effects)[1]
+
+
+def checked(dataset: Dataset, effects: Sequence[str] | None = None) -> tuple[Dataset, list[Finding]]:
     """Run all checks.
 
     Args:
@@ -51,11 +57,12 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
       effects: names of the effects whose excitation is checked; None for all of `excitation.unexcited_effects`.
 
     Returns:
-      Findings, errors first, then warnings, then notes.
+      The dataset as it is to be searched: with commands between samples, and a time step of its models, as short
+      predictions choose them where nothing is said. And findings, errors first, then warnings, then notes.
     """
     noise = noise_of(dataset)
     joints = joint_tracks(dataset)
-    findings = [Finding("note", "data", line) for line in _summary(dataset)]
+    findings = list[Finding]()
     for line in dataset.notes:
         odd = "unknown key" in line or "they are left out" in line or line.startswith("assumed")
         findings.append(Finding("warning" if odd else "note", "loading", line))
@@ -72,7 +79,7 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
     findings += [finding for finding in imu if finding.level == "error"]
     findings += _conventions(dataset, joints, noise, findings)
     findings += _channels(dataset, joints, noise)
-    findings += response_delays(dataset, joints) + reported_torques(dataset)
+    findings += reported_torques(dataset)
     findings += _parameter_bounds(dataset)
     findings += _excitation(dataset, joints, effects)
     if all(finding.level != "error" for finding in findings):
@@ -81,9 +88,15 @@ def preflight(dataset: Dataset, effects: Sequence[str] | None = None) -> list[Fi
     if all(finding.level != "error" for finding in findings):
         findings += undecided_signs(dataset, noise) + stability(dataset)
     if all(finding.level != "error" for finding in findings):
+        dataset, found = timed(dataset, noise)
+        delays = response_delays(dataset, joints)
+        late = any(finding.topic == "clocks" for finding in found)
+        findings += found + [finding for finding in delays if not late or finding.level == "note"]
+    if all(finding.level != "error" for finding in findings):
         findings += clock_drift(dataset, noise)
+    findings = [Finding("note", "data", line) for line in _summary(dataset)] + findings
     order = {"error": 0, "warning": 1, "note": 2}
-    return sorted(findings, key=lambda finding: order[finding.level])
+    return dataset, sorted(findings, key=lambda finding: order[finding.level])
 
 
 def refuse_errors(findings: Sequence[Finding]) -> None:
@@ -101,14 +114,19 @@ def refuse_errors(findings: Sequence[Finding]) -> None:
 
 
 def _summary(dataset: Dataset) -> list[str]:
-    model, times, key = dataset.model, [r.time for r in dataset.recordings], dataset.interpolation
+    model, times = dataset.model, [r.time for r in dataset.recordings]
     seconds = sum(float(t[-1] - t[0]) for t in times)
-    between = f'{_BETWEEN[key]} ("{key}"; interpolation in [control] of dataset.toml changes it)'
+    between = []
+    for kind in sorted({r.interpolation for r in dataset.recordings}):
+        names = list(dict.fromkeys(r.log or r.name for r in dataset.recordings if r.interpolation == kind))
+        of = "" if len({r.interpolation for r in dataset.recordings}) == 1 else f" of {listed(names)}"
+        said = f'{_BETWEEN[kind]} ("{kind}"; interpolation in [control] of dataset.toml changes it)'
+        between.append(f"commands{of} between samples: {said}")
     return [
         f"{counted(len(dataset.fit), 'recording')} to fit and {len(dataset.test)} held out, {seconds:.1f} s, "
         f"{sum(map(len, times))} samples of {counted(model.njnt, 'joint')} and {counted(model.nu, 'command')}",
         "held out: " + listed([r.name for r in dataset.test]),
-        *([f"commands between samples: {between}"] if model.nu else []),
+        *(between if model.nu else []),
     ]
 
 

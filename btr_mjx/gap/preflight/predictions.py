@@ -6,7 +6,7 @@ of its coordinates, so that it does not depend on their unit.
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -90,6 +90,27 @@ class Change:
         )
 
 
+def _as_it_is(model: mujoco.MjModel) -> None:
+    """No edit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """How commands are read, and with what model they are followed.
+
+    Attributes:
+      shift: delay of all commands [s], a number or one for each recording.
+      scale: factor of all commands.
+      step_divisor: of the models' time steps.
+      edit: of the models, in place.
+    """
+
+    shift: float | np.ndarray = 0.0
+    scale: float = 1.0
+    step_divisor: int = 1
+    edit: Callable[[mujoco.MjModel], None] = _as_it_is
+
+
 @dataclass(frozen=True)
 class CoordinateGroup:
     """Coordinates that are judged together: a hinge or slide, or position or rotation of a free or ball joint.
@@ -143,25 +164,26 @@ class Predictor:
         return out
 
     def start_times(self) -> tuple[np.ndarray, np.ndarray]:
-        """Recording (W,) of each stretch, and time of its start since the recording's [s]."""
+        """Index of the recording (W,) of each stretch, and time of its start since the recording's [s]."""
         times = [self._dataset.recordings[s.recording].time for s in self._stretches]
         since = [time[s.first] - time[0] for time, s in zip(times, self._stretches, strict=True)]
         return np.array([s.recording for s in self._stretches], int), np.array(since)
 
-    def errors(self, changes: Sequence[Change]) -> np.ndarray:
+    def errors(self, changes: Sequence[Change], reading: Reading = Reading()) -> np.ndarray:
         """Relative error variances (changes, W, groups), between the noise and `WORST`; see `motions`."""
-        pairs = zip(changes, self.motions(changes), strict=True)
+        pairs = zip(changes, self.motions(changes, reading), strict=True)
         return np.array([self._relative(change, *pair) for change, pair in pairs])
 
     def motions(
-        self, changes: Sequence[Change], command_shift: float = 0.0, command_scale: float = 1.0
+        self,
+        changes: Sequence[Change],
+        reading: Reading = Reading(),
     ) -> list[np.ndarray]:
         """Simulate all stretches under each change.
 
         Args:
           changes: of the data or the model.
-          command_shift: delay of all commands [s].
-          command_scale: factor of all commands.
+          reading: how commands are read and models simulated.
 
         Returns:
           For each change (2, W, samples, nv): measured and simulated motion since the start of each stretch.
@@ -173,9 +195,14 @@ class Predictor:
                 recording = self._dataset.recordings[number]
                 # A model with meshes takes many megabytes, and most changes leave it alone.
                 key = id(recording.model), change.gravity, change.switched_off
-                world = worlds[key] if key in worlds else worlds.setdefault(key, _changed(recording.model, change))
+                if key not in worlds:
+                    worlds[key] = _changed(recording.model, change)
+                    worlds[key].model.opt.timestep /= reading.step_divisor
+                    reading.edit(worlds[key].model)
+                world = worlds[key]
                 own = [s for s in self._stretches if s.recording == number]
-                segments, end = self._segments(world, change, recording, own, command_shift, command_scale)
+                shift = float(np.broadcast_to(reading.shift, len(self._dataset.recordings))[number])
+                segments, end = self._segments(world, change, recording, own, shift, reading.scale)
                 jobs.append((world, segments))
                 ends.append(end)
         moved = []
@@ -231,7 +258,7 @@ class Predictor:
             low, high = np.searchsorted(times, data.time[[first - side, stretch.last + side]])
             rows = slice(max(0, int(low) - 1), int(high) + 2)
             sent = change.ctrl(values[rows]) * scale
-            commands.append(Command(times[rows] + shift, sent, self._dataset.interpolation))
+            commands.append(Command(times[rows] + shift, sent, data.interpolation))
             samples.append(first + np.unique(np.linspace(length / _SAMPLES, length, _SAMPLES).round().astype(int)))
         start = data.time[[stretch.first for stretch in own]]
         segments = Segments(

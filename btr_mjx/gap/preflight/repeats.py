@@ -35,14 +35,15 @@ def held_positions(dataset: Dataset) -> list[Finding]:
 
 def held_commands(dataset: Dataset) -> list[Finding]:
     """An error for commands that are stairs where dataset.toml demands ramps between its rows."""
-    found = None if dataset.interpolation == "hold" else stairs([r.commands[1] for r in dataset.recordings])
+    ramps = [r for r in dataset.recordings if r.interpolation != "hold"]
+    found = stairs([r.commands[1] for r in ramps])
     if found is None:
         return []
-    interval = float(np.median(np.diff(dataset.recordings[0].commands[0])))
+    interval = float(np.median(np.diff(ramps[0].commands[0])))
     remedy = 'interpolation = "hold" in [control] fits them'
     message = (
         f"commands are stairs: they change every {found.every:.3g}th row ({1 / interval / found.every:.4g} Hz) and "
-        f'repeat in between, while dataset.toml says interpolation = "{dataset.interpolation}", which makes ramps of '
+        f'repeat in between, while dataset.toml says interpolation = "{ramps[0].interpolation}", which makes ramps of '
         f"one interval of them and a delay of {500 * interval:.3g} ms; {remedy}"
     )
     level: Level = "error" if len(found.rows) > _MIN_STEPS and not found.coarse else "warning"

@@ -33,7 +33,7 @@ def stability(dataset: Dataset) -> list[Finding]:
     for i in range(_SEGMENTS):
         which, share = divmod(i * len(dataset.recordings) / _SEGMENTS, 1.0)
         recording = dataset.recordings[int(which)]
-        command = Command(*recording.commands, dataset.interpolation)
+        command = Command(*recording.commands, recording.interpolation)
         ends.append((recording, instability_time(recording, int(share * (len(recording.time) - 2)), command)))
     bad = [(recording, time) for recording, time in ends if time is not None]
     if not bad:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from btr_mjx.gap.data import listed
 from btr_mjx.gap.report.tables import (
     as_table,
     candidate_sections,
@@ -113,6 +114,13 @@ def _plain(values: np.ndarray) -> list[float | None]:
     return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]
 
 
+def _between(interpolation: Mapping[str, str]) -> list[str]:
+    """A sentence about the commands between samples for each interpolation, by names of recordings."""
+    kinds = dict.fromkeys(interpolation.values())
+    of = {kind: listed([name for name, own in interpolation.items() if own == kind]) for kind in kinds}
+    return [_BETWEEN[kind] if len(kinds) == 1 else f"{of[kind]}: {_BETWEEN[kind]}" for kind in kinds]
+
+
 def _preflight(folder: Path) -> list[Section]:
     """What was odd about the data before the search: warnings, and notes."""
     if not (folder / "preflight.csv").is_file():
@@ -184,7 +192,7 @@ def _mended(folder: Path, result: Mapping[str, Any]) -> list[Section]:
         f"{path} is the believed model with what was found; plain MuJoCo loads it."
         + (f" It contains {' and '.join(inside)}." if inside else ""),
         *saved.get("notes", []),
-        _BETWEEN.get(str(result.get("interpolation")), ""),
+        *_between(result.get("interpolation") or {}),
         "parameters.csv holds the values with their intervals"
         + (
             ", randomisation.json the ranges of the model's numbers"

@@ -161,6 +161,7 @@ def written(
                 "why": "MJCF has no such term",
             }
         )
+    spec.option.timestep = world.model.opt.timestep
     left = write_changes(spec, world, base)
     notes = tuple(f"{name} differs from the believed model and cannot be written as MJCF" for name in left)
     changes = changed_numbers(base, spec.compile())

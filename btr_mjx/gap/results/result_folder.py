@@ -60,7 +60,7 @@ def save_diagnosis(
     def mended(found: Sequence[FoundEffect]) -> MendedModel:
         return _mend(found, diagnosis, dataset, effects)
 
-    if diagnosis.effects or diagnosis.calibration or diagnosis.residual:
+    if diagnosis.effects or diagnosis.calibration or diagnosis.residual or dataset.coarse_step is not None:
         whole = with_residual(mended([effect.found() for effect in diagnosis.effects]), diagnosis.residual)
         write_text(folder / "mended.xml", whole.xml)
         write_json(folder / "mended.json", whole.as_json())
@@ -115,7 +115,8 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
     return {
         "verdict": diagnosis.verdict,
         "dataset": dataset.folder.name or str(dataset.folder),
-        "interpolation": dataset.interpolation,
+        "interpolation": {one.name: one.interpolation for one in dataset.recordings},
+        "timestep": {"model": dataset.coarse_step or dataset.model.opt.timestep, "search": dataset.model.opt.timestep},
         "where": place_of_disagreement(diagnosis.disagreement),
         "effects": named,
         "calibration": [_effect_entry(effect) for effect in diagnosis.calibration],
@@ -188,6 +189,8 @@ def _mend(
             for path in parameter.paths:
                 factor = parse_path(dataset.model, path).read(dataset.model) if parameter.relative else 1.0
                 values[path] = final[parameter.name] * factor
+    if dataset.coarse_step is not None:
+        values["option/timestep"] = float(dataset.model.opt.timestep)
     is_mjcf = dataset.model_file.suffix == ".xml" and dataset.model_file.is_file()
     source = dataset.model_file if is_mjcf else dataset.spec_xml
     try:

@@ -40,12 +40,11 @@ class PreparedData:
     impacts: tuple[np.ndarray, ...] | None = None
 
 
-def prepare(recordings: Sequence[Recording], interpolation: str, sigma: np.ndarray, span: Span) -> PreparedData:
+def prepare(recordings: Sequence[Recording], sigma: np.ndarray, span: Span) -> PreparedData:
     """Prepare recordings for windows.
 
     Args:
       recordings: at least one.
-      interpolation: of the command.
       sigma: (2 nv,) noise of positions and velocities.
       span: samples and order of the state estimate.
 
@@ -53,7 +52,7 @@ def prepare(recordings: Sequence[Recording], interpolation: str, sigma: np.ndarr
       The recordings with commands and activation states.
     """
     tracks = tuple(track_of(r) for r in recordings)
-    commands = tuple(Command(*r.commands, interpolation) for r in recordings)  # type: ignore[arg-type]
+    commands = tuple(Command(*r.commands, r.interpolation) for r in recordings)
     acts = tuple(activation_histories(r.model, t, c) for r, t, c in zip(recordings, tracks, commands, strict=True))
     seen = np.stack([r.qvel_measured for r in recordings]).all(0)
     measured = np.concatenate([np.stack([r.seen for r in recordings]).all(0), seen])

@@ -37,7 +37,7 @@ def test_three_clocks_give_the_motion_that_was_sampled() -> None:
         {"time": sent.time, "ctrl/hip": sent.ctrl[:, 0]},
     ]
     notes: list[str] = []
-    columns, held = on_one_clock(tables, FLOATING, True, "", notes)
+    columns, held, _ = on_one_clock(tables, FLOATING, True, "", notes)
     assert held
     np.testing.assert_array_equal(columns["time"], joints.time)
     np.testing.assert_array_equal(columns["qpos/hip"], joints.qpos[:, 7])
@@ -85,10 +85,10 @@ def test_the_dataset_holds_commands_unless_it_says_otherwise(tmp_path: Path) -> 
     text = '[model]\nfile = "arm.xml"\n[[recording]]\nfile = ["joints.csv", "sent.csv"]\n'
     (tmp_path / "dataset.toml").write_text(text)
     data = load(tmp_path)
-    assert data.interpolation == "hold"
+    assert data.recordings[0].interpolation == "hold"
     (tmp_path / "dataset.toml").write_text(text + '[control]\ninterpolation = "linear"\n')
     smooth = load(tmp_path)
-    assert smooth.interpolation == "linear"
+    assert smooth.recordings[0].interpolation == "linear"
     found = np.concatenate([r.ctrl for r in smooth.recordings])
     rows = np.round(1000 * np.concatenate([r.time for r in smooth.recordings])).astype(int)
     np.testing.assert_allclose(found, log.ctrl[rows], atol=2e-3)

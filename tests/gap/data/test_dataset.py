@@ -48,7 +48,7 @@ def test_write_read_round_trip(tmp_path: Path, rng: np.random.Generator, file_fo
     )
     dataset = load(tmp_path)
     assert dataset.parameters == (believed, pair)
-    assert dataset.interpolation == "cubic"
+    assert dataset.recordings[0].interpolation == "cubic"
     assert dataset.tolerances == {"viscous_damping": 0.1}
     assert dataset.noise is not None
     np.testing.assert_allclose(dataset.noise.qpos, noise.qpos)

@@ -68,7 +68,7 @@ def test_stairs_are_held_where_nothing_is_said(tmp_path: Path, every: int) -> No
     assert 'interpolation = "hold" in [control] fits them' in found
     without_control(tmp_path)
     data = load(tmp_path)
-    assert data.interpolation == "hold"
+    assert data.recordings[0].interpolation == "hold"
     assert any('interpolation = "hold" is used' in line for line in data.notes)
     assert not any("stairs" in text for text in errors(data))
 
@@ -76,7 +76,7 @@ def test_stairs_are_held_where_nothing_is_said(tmp_path: Path, every: int) -> No
 def test_smooth_commands_bend_between_samples(tmp_path: Path) -> None:
     save_dataset(tmp_path, ARM, LOGS, DatasetDescription())
     without_control(tmp_path)
-    assert load(tmp_path).interpolation == "cubic"
+    assert load(tmp_path).recordings[0].interpolation == "cubic"
     assert stairs([r.ctrl for r in LOGS]) is None
     assert stairs([np.zeros((50, 2))]) is None
 
@@ -131,3 +131,12 @@ def test_jumps_by_360_degrees_are_refused(tmp_path: Path) -> None:
     (found,) = errors(load(tmp_path))
     assert "qpos/j7 jumps by 360 3 times" in found
     assert "divide it by 57.3" in found
+
+
+def test_stairs_beside_smooth_commands_are_held_alone(tmp_path: Path) -> None:
+    save_dataset(tmp_path, ARM, [LOGS[0], dataclasses.replace(LOGS[1], ctrl=hold(LOGS[1].ctrl, 10))])
+    without_control(tmp_path)
+    data = load(tmp_path)
+    assert [r.interpolation for r in data.recordings] == ["cubic", "hold"]
+    assert any(line.startswith("r1: commands are stairs") for line in data.notes)
+    assert not any("stairs" in text for text in errors(data))

@@ -59,7 +59,7 @@ def test_stretches_are_rows_of_the_table(tmp_path: Path, file_format: Format) ->
     whole = ungroup_columns(read_columns(file), MODEL, "")
     notes: list[str] = []
     done: list[int] = []
-    found = read_stretches([file], Share(COUNT, 600), MODEL, notes, done.append)
+    found, _ = read_stretches([file], Share(COUNT, 600), MODEL, notes, done.append)
     expected = stretch_rows(Share(COUNT, 600), float(np.median(np.diff(whole["time"][:50]))))
     assert len(found) == len(expected) == 6
     for stretch, rows in zip(found, expected, strict=True):
@@ -154,7 +154,7 @@ def test_missing_values_at_any_place(tmp_path: Path, file_format: Format, length
         target = tmp_path / f"changed.{file_format}"
         changed.write_csv(target, null_value="") if file_format == "csv" else changed.write_parquet(target)
         notes: list[str] = []
-        stretches = read_stretches([target], Share(COUNT, 600), MODEL, notes, lambda count: None)
+        stretches, _ = read_stretches([target], Share(COUNT, 600), MODEL, notes, lambda count: None)
         assert f"{target.name}: {length} of all rows have missing values" in notes
         lost = [int(np.isnan(columns["qpos/hip"]).sum()) for columns in stretches]
         parts = [make_recordings([columns], MODEL, "", "walk") for columns in stretches]

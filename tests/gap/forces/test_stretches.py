@@ -28,11 +28,12 @@ def cut(recording: Recording, first: int, count: int) -> Recording:
         recording.qvel_measured,
         "fit",
         recording.model,
+        interpolation=recording.interpolation,
     )
 
 
 def of(recordings, share: float = 1.0) -> Stretches:
-    return spread_stretches(prepare(recordings, "cubic", SIGMA, Span(5, 6)), share)
+    return spread_stretches(prepare(recordings, SIGMA, Span(5, 6)), share)
 
 
 def test_measurements_are_those_of_the_recordings(long):

@@ -60,7 +60,7 @@ def recording(seed: int, believed: mujoco.MjModel) -> Recording:
 def linkage() -> Dataset:
     believed = mujoco.MjModel.from_xml_string(XML)
     recordings = tuple(recording(seed, believed) for seed in range(5))
-    return Dataset(Path(), believed, Path("linkage.xml"), XML, (), recordings, "cubic", {}, Noise(SIGMA[:3], SIGMA[3:]))
+    return Dataset(Path(), believed, Path("linkage.xml"), XML, (), recordings, noise=Noise(SIGMA[:3], SIGMA[3:]))
 
 
 def test_a_loop_hands_on_the_power_of_its_motor(linkage: Dataset) -> None:

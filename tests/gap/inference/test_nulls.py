@@ -63,7 +63,7 @@ def test_touchdowns_that_small_steps_miss_show_in_nulls(tmp_path):
     )
     data = load(tmp_path)
     sigma = 2.4 * np.concatenate(case_robot("quadruped").sigma(data.fit[0].model))
-    prepared = prepare(data.fit, data.interpolation, sigma, Span(5, 4))
+    prepared = prepare(data.fit, sigma, Span(5, 4))
     k = round(0.04 / float(np.median(np.diff(data.fit[0].time))))
     first = np.arange(k, len(data.fit[0].time) - k - 6, k)
     windows = Windows(prepared, np.zeros(len(first), int), first, k)

@@ -141,16 +141,19 @@ def test_gaps_and_constant_channels_are_warnings() -> None:
     assert "qpos/shoulder stays at its extreme for" in warnings
 
 
-def test_commands_after_responses_are_warned_about() -> None:
-    """Commands logged 60 ms late follow the response; a velocity that is another joint's does not fit its position."""
+def test_commands_after_responses_are_refused() -> None:
+    """Commands logged late follow the response; a velocity that is another joint's does not fit its position."""
 
     def change(recording: Recording) -> Recording:
         late = np.stack([np.interp(recording.time - 0.12, recording.time, c) for c in recording.ctrl.T], 1)
         qvel = recording.qvel[:, [0, 1, 3, 3, 4]]
         return dataclasses.replace(recording, ctrl=late, qvel=qvel)
 
-    warnings = " | ".join(of_level(preflight(changed(change)), "warning"))
-    assert "positions come before their commands" in warnings
+    findings = preflight(changed(change))
+    (early,) = [finding for finding in findings if finding.level == "error"]
+    assert early.message.startswith("positions come before their commands")
+    assert early.evidence["shift"] == pytest.approx(-0.12, abs=8e-3)  # commands are held for a step of the log
+    warnings = " | ".join(of_level(findings, "warning"))
     assert "qvel/elbow does not follow the slope" in warnings
 
 

@@ -157,3 +157,11 @@ def test_moments_of_a_flat_body_are_physical_after_rounding(mass: float) -> None
     for own in (mass, -mass):  # a rod is left where more inertia is taken than there is
         found = FoundEffect("payload", "body:a", {"mass": own, "x": 0.31 * mass, "y": mass, "z": 0.0})
         mujoco.MjModel.from_xml_string(mend(xml, [found]).xml)
+
+
+def test_a_finer_time_step_is_written() -> None:
+    model = mujoco.MjModel.from_xml_string(PENDULUM)
+    finer = model.opt.timestep / 4
+    mended = mend(PENDULUM, [], believed={"option/timestep": finer})
+    assert mujoco.MjModel.from_xml_string(mended.xml).opt.timestep == pytest.approx(finer)
+    assert mujoco.MjModel.from_xml_string(mend(PENDULUM, []).xml).opt.timestep == model.opt.timestep

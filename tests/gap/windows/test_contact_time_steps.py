@@ -41,7 +41,7 @@ def quadruped(tmp_path_factory):
     sigma = np.concatenate(case_robot("quadruped").sigma(data.fit[0].model))
     k = round(0.04 / float(np.median(np.diff(data.fit[0].time))))
     first = np.arange(k, len(data.fit[0].time) - k - 6, k)
-    return prepare(data.fit, data.interpolation, sigma, Span(5, 4)), first, k
+    return prepare(data.fit, sigma, Span(5, 4)), first, k
 
 
 def windows_of(quadruped, step_divisor=1, noise=1.0):
@@ -100,7 +100,7 @@ def test_number_of_windows_with_divided_step(quadruped) -> None:
 
 def test_step_is_not_divided_without_contact() -> None:
     """Without contact the error is corrected, however large it is relative to the noise."""
-    data = prepare([recording("r", seed=3)], "cubic", 0.01 * SIGMA, Span(5, 6))
+    data = prepare([recording("r", seed=3)], 0.01 * SIGMA, Span(5, 6))
     windows = Windows(data, np.zeros(2, int), np.array([10, 150]), 30)
     assert refinement(windows, World.of) >= 4
     found = survey(data, Counter())

@@ -69,7 +69,7 @@ def bouncing() -> Recording:
 @pytest.mark.parametrize("touching", [False, True])
 def test_activity_equals_mj_forward_at_each_sample(touching):
     one = bouncing() if touching else recording("r", seed=1)
-    made = prepare([one], "linear", SIGMA[: 2 * one.model.nv], Span(5, 6))
+    made = prepare([one], SIGMA[: 2 * one.model.nv], Span(5, 6))
     counter = Counter()
     (found,) = activity(made, counter)
     (own,) = made.recordings
@@ -88,7 +88,7 @@ def test_activity_equals_mj_forward_at_each_sample(touching):
 def test_windows_cover_the_motion():
     """An arm at rest except for a short motion: the single window of a recording covers it."""
     made = dataset(fit=2, test=1)
-    data = prepare(made.fit, "cubic", SIGMA, Span(5, 6))
+    data = prepare(made.fit, SIGMA, Span(5, 6))
     _, every, k = place_windows(data, 0.1, 1e9, 10.0)
     busy = int(every[3])
     for track in data.tracks:
@@ -112,7 +112,7 @@ def test_samples_are_evaluated_in_blocks_without_a_trace(monkeypatch: pytest.Mon
     answers = []
     for most in (rows.MAX_BATCH, 7):
         monkeypatch.setattr(rows, "MAX_BATCH", most)
-        made = prepare([one, integrating], "linear", SIGMA[:2], Span(5, 6))
+        made = prepare([one, integrating], SIGMA[:2], Span(5, 6))
         answers.append((*made.acts, *activity(made, Counter()), *contact_samples(made, Counter())))
     assert answers[0][3].any()
     assert np.ptp(answers[0][1]) > 0

@@ -74,11 +74,13 @@ def driven(xml: str, seed: int, duration=3.0, push=1.0, start=(0.0, 0.0)) -> Rec
         mujoco.mj_step(real, data)
     seen = np.array(states) + NOISE * rng.standard_normal((len(time), 4))
     model = mujoco.MjModel.from_xml_string(xml)
-    return Recording(f"r{seed}", time, ctrl, seen[:, :2], seen[:, 2:], np.ones(2, bool), "fit", model)
+    return Recording(
+        f"r{seed}", time, ctrl, seen[:, :2], seen[:, 2:], np.ones(2, bool), "fit", model, interpolation="cubic"
+    )
 
 
 def prepared(*recordings: Recording, sigma=NOISE) -> PreparedData:
-    return prepare(recordings, "cubic", sigma, Span(5, 6))
+    return prepare(recordings, sigma, Span(5, 6))
 
 
 def chosen(data: PreparedData):
@@ -193,7 +195,7 @@ def test_step_uncertainty_for_all_integrators(integrator) -> None:
 
 
 def test_windows_sensitive_to_the_time_step_are_left_out() -> None:
-    data = prepare([recording("r", seed=3)], "cubic", SIGMA, Span(5, 6))
+    data = prepare([recording("r", seed=3)], SIGMA, Span(5, 6))
     windows = Windows(data, np.zeros(4, int), np.array([10, 60, 110, 160]), 30)
     windows = linearise(windows, World.of)
     assert len(reliable_windows(windows, World.of, contact=False)) == 4

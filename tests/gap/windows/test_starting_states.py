@@ -117,7 +117,7 @@ def test_stride_depends_on_accuracy() -> None:
     """No long steps for a stiff motor, nor for short sample intervals."""
 
     def of(believed, rate):
-        data = prepare([recording("r", believed=believed)], "cubic", SIGMA, Span(5, 6))
+        data = prepare([recording("r", believed=believed)], SIGMA, Span(5, 6))
         out = Windows(data, np.array([0, 0]), np.array([20, 120]), 30)
         out.since = out.since * (200.0 / rate)
         return stride(out, World.of, out.states([World.of])[0])
@@ -145,7 +145,7 @@ def test_stride_is_short_for_touchdowns_of_light_legs(tmp_path, monkeypatch) -> 
     data = load(tmp_path)
     sigma = np.concatenate(case_robot("quadruped").sigma(data.fit[0].model))
     first = np.arange(8, len(data.fit[0].time) - 14, 8)
-    legs = Windows(prepare(data.fit, data.interpolation, sigma, Span(5, 4)), np.zeros(len(first), int), first, 8)
+    legs = Windows(prepare(data.fit, sigma, Span(5, 4)), np.zeros(len(first), int), first, 8)
     states = legs.states([World.of])[0]
     assert stride(legs, World.of, states) == 1
     monkeypatch.setattr(transitions, "_MAX_ERROR", np.inf)

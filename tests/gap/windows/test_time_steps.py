@@ -13,7 +13,7 @@ from btr_mjx.gap.windows.time_steps import choose_time_step, step_error
 def short_steps(step=5e-4, sigma=5 * SIGMA, first=(10, 150), k=30):
     model = arm()
     model.opt.timestep = step
-    data = prepare([recording("r", seed=3, believed=model)], "cubic", sigma, Span(5, 6))
+    data = prepare([recording("r", seed=3, believed=model)], sigma, Span(5, 6))
     return Windows(data, np.zeros(len(first), int), np.array(first), k, Counter())
 
 
@@ -39,7 +39,7 @@ def test_corrected_velocities_are_of_second_order(integrator: mujoco.mjtIntegrat
     for step in (4e-3, 2e-3, 1e-3):
         model = arm()
         model.opt.timestep, model.opt.integrator = step, integrator
-        data = prepare([recording("r", seed=3, believed=model)], "cubic", SIGMA, Span(5, 6))
+        data = prepare([recording("r", seed=3, believed=model)], SIGMA, Span(5, 6))
         windows = Windows(data, np.zeros(2, int), np.array([10, 150]), 30, Counter())
         base, exact = (windows.states([World.of], timestep=t)[0] for t in (step, 1e-4))
         windows.step = step

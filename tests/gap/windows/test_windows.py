@@ -77,7 +77,7 @@ def test_residual_of_a_model_far_away_does_not_depend_on_the_noise(quieter):
         model.body_mass[:] *= 3.0
         model.actuator_gainprm[:, 0] *= 0.3
 
-    data = prepare([recording(f"r{i}", other, seed=i) for i in range(2)], "cubic", quieter * SIGMA, Span(5, 6))
+    data = prepare([recording(f"r{i}", other, seed=i) for i in range(2)], quieter * SIGMA, Span(5, 6))
     windows = Windows(data, np.array([0, 0, 1, 1]), np.array([10, 150, 20, 200]), 30)
     windows = linearise(windows, World.of)
     assert quieter * np.sqrt((windows.residual**2).mean()) == pytest.approx(264.0, rel=0.02)
@@ -129,7 +129,7 @@ def test_unknown_forces_find_joint_and_variable():
     def spring(model):
         model.jnt_stiffness[1] = 2.0
 
-    data = prepare([recording("r", spring, seed=5)], "cubic", SIGMA, Span(5, 6))
+    data = prepare([recording("r", spring, seed=5)], SIGMA, Span(5, 6))
     out = Windows(data, np.zeros(8, int), np.linspace(10, 250, 8).astype(int), 20)
     out = linearise(out, World.of)
     around = circumstances(out, World.of)
@@ -297,7 +297,7 @@ def test_slower_motion_has_longer_fits():
 
 
 def test_windows_with_uneven_samples():
-    data = prepare([recording("r", seed=4, uneven=True)], "cubic", SIGMA, Span(5, 6))
+    data = prepare([recording("r", seed=4, uneven=True)], SIGMA, Span(5, 6))
     out = Windows(data, np.zeros(4, int), np.array([10, 80, 150, 220]), 25)
     out = linearise(out, World.of)
     chi2 = (out.residual**2).sum(1) / out.freedom
@@ -306,7 +306,7 @@ def test_windows_with_uneven_samples():
 
 def test_windows_lie_inside_recordings_and_short_recordings_raise():
     made = dataset(fit=2, test=1)
-    data = prepare(made.fit, "cubic", SIGMA, Span(5, 6))
+    data = prepare(made.fit, SIGMA, Span(5, 6))
     recording_of, first, k = place_windows(data, 0.1, 1e6, 10.0)
     for r, f in zip(recording_of, first, strict=True):
         assert f >= 0
@@ -324,7 +324,7 @@ def test_errors_of_estimates_that_last_are_no_residual():
             replace(r, estimate=StateEstimate(0.1 * known, known), qpos=r.qpos + np.array([off, 0.0]))
             for r in recordings
         ]
-        return Windows(prepare(shifted, "cubic", SIGMA, Span(5, 6)), np.array([0, 1]), np.array([20, 40]), 8)
+        return Windows(prepare(shifted, SIGMA, Span(5, 6)), np.array([0, 1]), np.array([20, 40]), 8)
 
     plain, moved = windows(0.0), windows(0.02)
     states = plain.states([World.of])[0]

@@ -30,6 +30,7 @@ class LogOptions:
       answer: where a user says what columns are.
       forces: whether measured forces of the actuators drive the model, instead of commands.
       hold: hold commands of a slower clock between their samples, instead of interpolating them.
+      shift: seconds that are added to the times of commands.
       sources: filled with names of the log by name of the model when columns are matched.
     """
 
@@ -39,6 +40,7 @@ class LogOptions:
     units: Mapping[str, str] = field(default_factory=dict)
     answer: Answer = NO_FILE
     hold: bool = True
+    shift: float = 0.0
     forces: bool = False
     sources: dict[str, str] = field(default_factory=dict)
 

@@ -70,16 +70,18 @@ def load_lerobot(head: Dataset, table: Mapping[str, Any], answer: Answer) -> Dat
     recordings: list[Recording] = []
     for episode in episodes:
         columns = _columns(episode, joints, goals, by_joint, head, folder)
-        recordings += make_recordings([columns], model, episode.where, f"episode_{episode.number:06d}")
+        name = f"episode_{episode.number:06d}"
+        shift = head.control.shift_of(name)
+        recordings += make_recordings([columns], model, episode.where, name, shift=shift)
     parts = assign_splits(recordings, [None] * len(recordings), str(folder))
-    stated = "interpolation" in table.get("control", {})
-    if not stated:
+    head.control.check_names([one.log for one in parts], str(answer.file))
+    said = [head.control.interpolation_of(one.log) for one in parts]
+    if None in said:
         notes.append('a servo holds its goal until the next one: interpolation = "hold"')
     return replace(
         head,
-        recordings=tuple(parts),
+        recordings=tuple(replace(one, interpolation=own or "hold") for one, own in zip(parts, said, strict=True)),
         notes=tuple(notes),
-        interpolation=head.interpolation if stated else "hold",
         scales={scale.joint: scale for scale in scales.values()},
     )
 

@@ -9,7 +9,7 @@ often written into one table.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -45,13 +45,15 @@ def on_one_clock(
     hold: bool,
     where: str,
     notes: list[str],
-) -> tuple[dict[str, np.ndarray], bool]:
+    shift: float = 0.0,
+) -> tuple[dict[str, np.ndarray], bool, float]:
     """Bring the columns (K,) of the tables of a recording onto one time axis [s].
 
-    Commands of another clock are interpolated, or held if `hold`.
+    Commands of another clock are interpolated, or held if `hold`, and their times shifted before.
 
     Returns:
-      Columns (N,) on one axis, NaN where a value is not known; and whether commands were held.
+      Columns (N,) on one axis, NaN where a value is not known; whether commands were held; and the shift [s] that is
+      left to do, where commands are on the clock of positions.
 
     Raises:
       InputError: tables that share no time, or times of a clock that do not increase.
@@ -59,15 +61,21 @@ def on_one_clock(
     signals = [signal for table in tables for signal in _signals(table)]
     positions, _ = state_columns(model)
     if len(tables) == 1 and not any(signal.sparse for signal in signals):
-        return dict(tables[0]), False
+        return dict(tables[0]), False, shift
     for table in tables:
         _smooth_signs(table, model)
     having = [signal for signal in signals if any(name in signal.values for name in positions)]
     if not having:
-        return dict(tables[0]), False  # the check of names says what is missing
+        return dict(tables[0]), False, shift  # the check of names says what is missing
     axis = min(having, key=lambda signal: (usual_interval(signal.time) or np.inf, -len(signal.time)))
-    _check_overlap(axis, signals, where)
     commands = set(control_columns(model))
+    if all(commands.issuperset(signal.values) for signal in signals if commands.intersection(signal.values)):
+        signals = [
+            replace(signal, time=signal.time + shift) if commands.intersection(signal.values) else signal
+            for signal in signals
+        ]
+        shift = 0.0
+    _check_overlap(axis, signals, where)
     columns = {"time": axis.time, **axis.values}
     held = False
     for signal in signals:
@@ -92,7 +100,7 @@ def on_one_clock(
             f"{listed(names, 3)}, sampled every {1e3 * usual_interval(signal.time):.3g} ms, {how} on the clock of "
             f"{listed(axis.values, 3)} with {1e3 * usual_interval(axis.time):.3g} ms"
         )
-    return columns, held
+    return columns, held, shift
 
 
 def _signals(table: Mapping[str, np.ndarray]) -> list[_Signal]:

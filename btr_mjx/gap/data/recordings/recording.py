@@ -19,8 +19,9 @@ from btr_mjx.gap.data.columns.model_columns import (
     state_columns,
     ungroup_columns,
 )
+from btr_mjx.gap.data.control import Interpolation
 from btr_mjx.gap.data.lists import listed
-from btr_mjx.gap.data.recordings.clocks import check_time, on_one_clock
+from btr_mjx.gap.data.recordings.clocks import check_time, on_one_clock, usual_interval
 from btr_mjx.gap.data.recordings.held import held
 from btr_mjx.gap.data.recordings.plausible import check_sizes, check_span
 from btr_mjx.gap.data.recordings.rows import complete_rows, even_times, normalise_quaternions, whole_parts
@@ -65,9 +66,11 @@ class Recording:
       force: (K,) measured actuator forces by actuator.
       sensor: (K,) other measurements by name, such as "imu_gyro/x"; NaN where there is none at that time.
       notes: corrections made by the loader, reported by preflight.
-      sent: times (N,) [s] and commands (N, nu), where commands were logged at more times than states.
+      sent: times (N,) [s] and commands (N, nu), where commands were logged at other times than states.
       held_commands: whether commands of a slower clock were held between their samples.
       estimate: how well states are known that were estimated and count as measured; None for none.
+      interpolation: of the command between samples.
+      log: name of the [[recording]] that it is all or a part of.
     """
 
     name: str
@@ -85,6 +88,8 @@ class Recording:
     held_commands: bool = False
     qpos_measured: np.ndarray | None = None
     estimate: StateEstimate | None = None
+    interpolation: Interpolation = "linear"
+    log: str = ""
 
     @property
     def commands(self) -> tuple[np.ndarray, np.ndarray]:
@@ -148,12 +153,18 @@ def make_recording(columns: Mapping[str, np.ndarray], model: mujoco.MjModel, whe
 
 
 def make_recordings(
-    tables: Sequence[Mapping[str, np.ndarray]], model: mujoco.MjModel, where: str, name: str, hold: bool = True
+    tables: Sequence[Mapping[str, np.ndarray]],
+    model: mujoco.MjModel,
+    where: str,
+    name: str,
+    hold: bool = True,
+    shift: float = 0.0,
 ) -> list[Recording]:
     """Build the recordings of one log: one, or one for each part between holes.
 
     `tables` have arrays by name, as `readers.read_columns` returns them, and a clock of their own each. Commands of a
-    slower clock are held between their samples, or interpolated without `hold`.
+    slower clock are held between their samples, or interpolated without `hold`. `shift` [s] is added to the times of
+    commands.
 
     Raises:
       InputError: missing or unknown columns, time that does not increase, quaternions that are not of unit length.
@@ -161,7 +172,7 @@ def make_recordings(
     """
     notes: list[str] = []
     flat_tables = [_with_even_times(ungroup_columns(table, model, where), model, notes) for table in tables]
-    merged, held = on_one_clock(flat_tables, model, hold, where, notes)
+    merged, held, shift = on_one_clock(flat_tables, model, hold, where, notes, shift)
     ignored = check_names(merged, model, where)
     unmeasured = unmeasured_joints(merged, model, where)
     notes += [f"columns without a use: {listed(ignored)}"] if ignored else []
@@ -202,9 +213,27 @@ def make_recordings(
         notes=tuple(notes),
         held_commands=held,
         qpos_measured=known[model.dof_jntid],
+        log=name,
     )
     names = [name if len(parts) == 1 else f"{name} (part {i + 1})" for i in range(len(parts))]
-    return [_estimated(whole.part(rows, "fit", own), unmeasured, where) for rows, own in zip(parts, names, strict=True)]
+    pieces = [whole.part(rows, "fit", own) for rows, own in zip(parts, names, strict=True)]
+    return [_estimated(_with_shifted_commands(one, shift, where), unmeasured, where) for one in pieces]
+
+
+def _with_shifted_commands(one: Recording, shift: float, where: str) -> Recording:
+    """A recording without a hole, whose commands were sent `shift` [s] later than logged; its rows with a command."""
+    if shift == 0:
+        return one
+    times = one.time + shift
+    known = np.flatnonzero((one.time >= times[0]) & (one.time <= times[-1] + usual_interval(one.time)))
+    if len(known) < MIN_SAMPLES:
+        raise EmptyRecording(
+            f"{where}: {len(known)} samples have a command after a shift of {shift:g} s; expected at least "
+            f"{MIN_SAMPLES}: correct shift in [control]"
+        )
+    ctrl = np.array([np.interp(one.time, times, column) for column in one.ctrl.T]).reshape(one.ctrl.shape[::-1]).T
+    moved = replace(one, ctrl=ctrl, sent=(times, one.ctrl))
+    return moved.part(slice(int(known[0]), int(known[-1]) + 1), one.split, one.name)
 
 
 def _with_even_times(table: dict[str, np.ndarray], model: mujoco.MjModel, notes: list[str]) -> dict[str, np.ndarray]:
@@ -230,7 +259,7 @@ def _estimated(one: Recording, unmeasured: list[int], where: str) -> Recording:
             f"positions change every {fresh.every:.3g}th row only ({rate:.4g} Hz) and repeat in between: the fresh "
             "rows are used, commands in all rows"
         )
-        one = replace(one.part(fresh.rows, one.split, one.name), sent=(one.time, one.ctrl))
+        one = replace(one.part(fresh.rows, one.split, one.name), sent=one.commands)
     qvel = one.qvel
     if not one.qvel_measured.all():
         qvel = np.where(one.qvel_measured, qvel, estimate_velocity(model, one.time, one.qpos))

@@ -78,7 +78,7 @@ def read_stretches(
     notes: list[str],
     advance: Advance,
     options: LogOptions | None = None,
-) -> list[Columns]:
+) -> tuple[list[dict[str, np.ndarray]], float]:
     """Check all rows of a recording and keep some of them.
 
     Args:
@@ -89,8 +89,12 @@ def read_stretches(
       notes: choices, which share is used, missing values and gaps in time are appended here.
       advance: see `Advance`.
       options: what the dataset says about columns and topics.
+
+    Returns:
+      The stretches, and the shift [s] of the times of commands that is left to do.
     """
     options, path = options or LogOptions(), paths[0]
+    shift = options.shift
     reader = reader_of(path) if len(paths) == 1 else None
     if reader is not None and reader.blocks is not None:
         found, plan, clock = _Kept(path, share, model), None, (1.0, 0.0)
@@ -101,11 +105,12 @@ def read_stretches(
             found.add(ungroup_columns(plan.apply(table, clock), model, str(path)))
     else:
         tables = [ungroup_columns(table, model, str(path)) for table in read_log(paths, model, options, notes, advance)]
-        columns, _ = on_one_clock(tables, model, options.hold, str(path), notes)
+        columns, _, shift = on_one_clock(tables, model, options.hold, str(path), notes, shift)
         found = _Kept(path, Share(len(columns["time"]), share.kept), model)
         found.add(columns)
     notes += found.notes()
-    return [{name: np.concatenate(parts) for name, parts in kept.items()} for kept in found.pieces if kept]
+    pieces = [{name: np.concatenate(parts) for name, parts in kept.items()} for kept in found.pieces if kept]
+    return pieces, shift
 
 
 class _Kept:

@@ -142,8 +142,8 @@ class Bench:
         """Windows of both sides, linearised around the believed model, and what is to be tried there."""
         dataset, model = self.dataset, self.dataset.fit[0].model
         span = best_span(model, list(tracks), self.sigma)
-        data = prepare(dataset.fit, dataset.interpolation, self.sigma, span)
-        held = prepare(dataset.test, dataset.interpolation, self.sigma, span)
+        data = prepare(dataset.fit, self.sigma, span)
+        held = prepare(dataset.test, self.sigma, span)
         self.survey: Survey = survey(data, self.counter)
         self.scales = scales_of(data)
         self.candidates = candidates(model, self.scales, effects)

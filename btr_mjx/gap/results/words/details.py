@@ -46,6 +46,7 @@ def detail_sentences(result: Mapping[str, Any]) -> list[str]:
         f"Simulation and data disagree most at {where}." if where else "",
         _gap(result),
         _predictions(result),
+        _time_step(result),
         f"Before: {result['before']['sentence']}" if result.get("before") else "",
         _whole_recordings(result) if verdict == "effect" else "",
         "" if result.get("before") else _calibration(result),
@@ -68,6 +69,18 @@ def _predictions(result: Mapping[str, Any]) -> str:
     return (
         f"Predicted over {of['horizon']:g} s, positions of held-out recordings are off by {believed} "
         f"with {model_beside(result)}{own}, with constant velocity by {steady} (root mean square of all joints)."
+    )
+
+
+def _time_step(result: Mapping[str, Any]) -> str:
+    """A time step of the search that is finer than the model's."""
+    of = result.get("timestep") or {}
+    own, finer = as_float(of.get("model")), as_float(of.get("search"))
+    if own is None or finer is None or finer >= own:
+        return ""
+    return (
+        f"The time step of the model, {1e3 * own:g} ms, is too coarse: the search and mended.xml have "
+        f"{1e3 * finer:g} ms."
     )
 
 

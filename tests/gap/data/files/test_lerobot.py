@@ -100,7 +100,7 @@ def test_recordings_are_those_of_the_projects_own_format(
     found = opened(tmp_path, numbers=numbers, version=version)
     assert_alike(found, own_format(tmp_path / "own", truth), 2e-5 if numbers is shares else 1e-6)
     assert re.search(said, "\n".join(found.notes))
-    assert found.interpolation == "hold"
+    assert found.recordings[0].interpolation == "hold"
     (tmp_path / "dataset.toml").write_text(found.inferred)  # what was found, declared, is the same
     assert_alike(open_dataset(tmp_path), found, 1e-5)  # type: ignore[arg-type]
 

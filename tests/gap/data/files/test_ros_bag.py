@@ -88,7 +88,7 @@ def test_an_arm_in_both_storages(tmp_path: Path, plugin: StoragePlugin, whole: b
     np.testing.assert_allclose(np.concatenate([r.qpos for r in data.recordings]), log.qpos[rows], atol=1e-12)
     np.testing.assert_allclose(np.concatenate([r.qvel for r in data.recordings]), log.qvel[rows], atol=1e-12)
     np.testing.assert_array_equal(np.concatenate([r.ctrl for r in data.recordings]), log.ctrl[rows])
-    assert data.interpolation == "hold"
+    assert data.recordings[0].interpolation == "hold"
     said = " ".join(data.recordings[0].notes)
     assert "command: topic /arm/commands, 75 messages, at the times they were received" in said
     assert "'command/0' to 'command/1' were taken in the order of the model" in said

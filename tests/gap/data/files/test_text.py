@@ -110,7 +110,7 @@ def test_blocks_of_a_long_file_equal_the_whole(tmp_path: Path, monkeypatch: pyte
     file = tmp_path / "log.csv"
     file.write_text("\r\n".join(lines).replace("Zeit", "time"))
     notes: list[str] = []
-    found = read_stretches([file], Share(1000, 100), model, notes, lambda count: None)
+    found, _ = read_stretches([file], Share(1000, 100), model, notes, lambda count: None)
     whole = np.concatenate([columns["qpos/elbow"] for columns in found])
     rows = np.round(1000 * np.concatenate([columns["time"] for columns in found])).astype(int)
     np.testing.assert_allclose(whole, log.qpos[rows, 1], atol=1e-7)

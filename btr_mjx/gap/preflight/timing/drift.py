@@ -10,7 +10,7 @@ import numpy as np
 
 from btr_mjx.gap.data import Dataset, Noise
 from btr_mjx.gap.preflight.findings import Finding
-from btr_mjx.gap.preflight.predictions import Change, Predictor
+from btr_mjx.gap.preflight.predictions import Change, Predictor, Reading
 from btr_mjx.models import difference
 
 _STRETCHES = 64
@@ -58,8 +58,8 @@ def _delays(dataset: Dataset, noise: Noise, predictor: Predictor) -> tuple[np.nd
     """Delays (W, nv) [s] of each stretch by least squares, and their weights (W, nv) (inverse variances of noise)."""
     step = 0.1 * predictor.seconds
     none = [Change.none(dataset.model)]
-    (measured, late), (_, early) = (predictor.motions(none, command_shift=s)[0] for s in (step, -step))
-    stronger, weaker = (predictor.motions(none, command_scale=s)[0][1] for s in (1.02, 0.98))
+    (measured, late), (_, early) = (predictor.motions(none, Reading(shift=s))[0] for s in (step, -step))
+    stronger, weaker = (predictor.motions(none, Reading(scale=s))[0][1] for s in (1.02, 0.98))
     middle = 0.5 * (late + early)
     with np.errstate(invalid="ignore", over="ignore"):
         # What the model does not explain.
