@@ -5,7 +5,7 @@ show it, and only if the believed servo gives way to them.
 """
 
 from btr_mjx.gap.data import Dataset, Noise
-from btr_mjx.gap.preflight.alternatives import Catalogue
+from btr_mjx.gap.preflight.alternatives.catalogue import Catalogue
 from btr_mjx.gap.preflight.comparison import compare
 from btr_mjx.gap.preflight.findings import Finding
 from btr_mjx.gap.preflight.lerobot_tables import toml_lines
