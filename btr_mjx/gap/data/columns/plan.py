@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.data.columns.leftover import with_leftovers
 from btr_mjx.gap.data.columns.matching import match_columns
 from btr_mjx.gap.data.columns.remedy import NO_FILE, Answer
 from btr_mjx.gap.data.columns.required import check_matched
@@ -100,6 +101,8 @@ def plan_tables(
     matched = match_columns(
         named, model, options.columns, where, options.answer, labelled=len(tables) > 1, forces=options.forces
     )
+    if not options.forces:
+        matched = with_leftovers(matched, named, model, options.unmeasured, units)
     check_matched(matched, named, model, where, options.unmeasured, options.answer, units)
     notes += matched.notes
     options.sources.update({target: name for (_, name), target in matched.names.items()})
