@@ -35,6 +35,9 @@ _RATIO = 9.0
 """An alternative must divide the error (rms) of some coordinate by three at least: where the columns of a joint are
 wrong, its neighbours may show it more clearly than the joint itself."""
 
+_NO_MOTION = 1.0
+"""Error (rms) of a prediction that nothing moves: under a convention that fits, the model predicts better than that."""
+
 _MAX_FAULTS = 8
 
 
@@ -135,8 +138,9 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
         if total > float(np.mean(np.log(now))):
             continue
         shown = max([found, *(compare(now[:, g], errors[i][:, g]) for g in range(now.shape[1]))], key=_strength)
-        if shown.decisive(_RATIO):
-            decisive.append((total, i, _Fault(alternative, found if found.decisive(_RATIO) else shown, "")))
+        shown = found if found.decisive(_RATIO) else shown
+        if shown.decisive(_RATIO) and shown.after < _NO_MOTION:
+            decisive.append((total, i, _Fault(alternative, shown, "")))
     if not decisive:
         return None
     decisive.sort(key=lambda entry: entry[0])

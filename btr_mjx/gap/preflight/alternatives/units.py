@@ -44,10 +44,11 @@ class PositionUnit:
     remedy: str
 
 
-_TURNS = (
+TURNS = (
     PositionUnit(2 * np.pi, 0.0, "turns (2 pi rad)", "angles are in rad: multiply by 2 pi"),
     PositionUnit(np.pi, 0.0, "half turns (pi rad)", "angles are in rad: multiply by pi"),
 )
+"""Turns and half turns."""
 _DEGREES = PositionUnit(np.pi / 180, 0.0, "degrees", DEGREES_REMEDY)
 
 
@@ -64,7 +65,7 @@ def robot_units(columns: LoggedColumns, hinges: Mapping[int, int]) -> Iterator[A
     goals = f"ctrl/{columns.actuators[servos[0]]}" if len(servos) == 1 else "the commands of all servos"
     both = f"{names} and {goals} both:" if len(joints) == 1 else "the positions and commands of all hinges"
     look = "looks like" if len(joints) == 1 else "look like"
-    units = [_DEGREES, *_TURNS, *_counts(columns, joints)]
+    units = [_DEGREES, *TURNS, *_counts(columns, joints)]
     for unit in (unit for unit in units if _possible(columns, joints, unit)):
         qpos = columns.joints_times(joints, unit.scale, unit.offset)
         ctrl = columns.ctrl(servos, unit.scale, unit.offset)
@@ -84,7 +85,7 @@ def joint_units(columns: LoggedColumns, joint: int, group: int, poor: bool) -> I
     name, servos = columns.joints[joint], columns.servos([joint])
     loud = [a for a in servos if columns.command_reach[a] > LARGE_ANGLE]
     large = columns.reach(joint) > (LARGE_ANGLE if columns.model.jnt_type[joint] == HINGE else LARGE_LENGTH)
-    turns = _TURNS if poor and columns.model.jnt_type[joint] == HINGE else ()
+    turns = TURNS if poor and columns.model.jnt_type[joint] == HINGE else ()
     for unit in [*turns, *(_large_units(columns, joint) if large or loud else ())]:
         qpos, words = columns.joints_times([joint], unit.scale, unit.offset), f"looks like {unit.words}"
         ctrl = columns.ctrl(servos, unit.scale, unit.offset)
