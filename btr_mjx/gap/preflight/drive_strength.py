@@ -30,6 +30,9 @@ _OCTAVES = 6
 _RATIO = 4.0
 """The factor must halve the error (rms)."""
 
+_NO_MOTION = 1.0
+"""Error (rms) of a prediction that nothing moves: with the right factor, the model predicts better than that."""
+
 _OFF, _OFF_ALONE = 1.25, 2.0
 """Smallest factor, or its inverse, of several motors alike: they do not all lose a fifth of their force. A single motor
 may: it has to lose half."""
@@ -61,11 +64,12 @@ def drive_strength(dataset: Dataset, noise: Noise) -> list[Finding]:
         for x in (_APART, 1 / _APART)
     ]
     apart = apart if len(motors) > 1 else []
-    best, *others = (
-        typical_error(e, every) for e in predictor.errors([_times(model, motors, f) for f in (common, *apart)])
-    )
+    changes = [_times(model, motors, factors) for factors in (np.zeros(len(motors)), common, *apart)]
+    powerless, best, *others = (typical_error(errors, every) for errors in predictor.errors(changes))
     found = compare(now, best)
-    if not found.decisive(_RATIO) or any(compare(best, other).significant for other in others):
+    if not (found.decisive(_RATIO) and found.after < _NO_MOTION) or not compare(powerless, best).significant:
+        return []
+    if any(compare(best, other).significant for other in others):
         return []
     return [_finding(dataset, motors, factor, found, predictor.seconds)]
 
