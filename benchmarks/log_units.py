@@ -1,8 +1,8 @@
 """Logs in other units than the model's: how many are refused with the right factor, and how many sound ones are.
 
-    uv run python benchmarks/units.py --cases 20                    # each unit, and sound logs of all robots
-    uv run python benchmarks/units.py --cases 20 --only turns sound
-    uv run python benchmarks/units.py --real FOLDER FOLDER          # recordings that are known to be in order
+    uv run python benchmarks/log_units.py --cases 20                    # each unit, and sound logs of all robots
+    uv run python benchmarks/log_units.py --cases 20 --only turns sound
+    uv run python benchmarks/log_units.py --real FOLDER FOLDER          # recordings that are known to be in order
 
 Robots: those of `field_robots`, with errors of calibration; in half of the cases an effect is missing as well (a gain,
 friction, damping, a spring, a payload). What a finding says to write into dataset.toml is written there, and the data
