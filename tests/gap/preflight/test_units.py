@@ -201,6 +201,19 @@ def test_a_wheel_is_not_said_to_be_in_turns(factor: float) -> None:
     assert any("torque constant" in f.message for f in found) == (factor < 1)
 
 
+@pytest.mark.parametrize("weightless", [False, True])
+def test_friction_that_the_robot_has_not_is_no_unit(weightless: bool) -> None:
+    """Beside forces that are believed too large, a motion looks as if it were larger than it is."""
+    dry = ARM.replace("damping=", 'frictionloss="0.4" damping=')
+    dry = dry.replace("<option ", '<option gravity="0 0 0" ') if weightless else dry
+
+    def smooth(model: mujoco.MjModel) -> None:
+        model.dof_frictionloss[:] = 0.0
+
+    found = preflight(recorded(dry, [0.9, 0.8, 0.8], smooth))
+    assert [f.message for f in found if f.level == "error"] == []
+
+
 def test_slides_are_not_in_turns() -> None:
     rng = np.random.default_rng(2)
     cart = in_memory(CART, [log(CART, sines(rng, [5.0]), i, seconds=5.0, rate=100) for i in range(2)])

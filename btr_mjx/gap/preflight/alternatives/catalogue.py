@@ -1,6 +1,7 @@
 """Catalogue of conventions that logs use instead of MuJoCo's, as changes of columns or of the model's gravity."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import combinations, product
 
 import mujoco
@@ -34,11 +35,11 @@ class Catalogue:
 
         Args:
           poor: groups whose joints are questioned, largest error first.
-          base: groups by which gravity, free and ball joints, and the unit of all hinges are questioned.
+          base: groups by which gravity and free and ball joints are questioned.
         """
         kinds = [int(self._model.jnt_type[group.joint]) for group in self._groups]
         hinges = {group.joint: g for g, group in enumerate(self._groups) if kinds[g] == HINGE}
-        out = list(robot_units(self._columns, hinges)) if set(hinges.values()) & set(base) else []
+        out = list(robot_units(self._columns, hinges)) if hinges else []
         out += [*self._gravity(base), *self._free(base)]
         scalar = [g for g in poor if kinds[g] in (HINGE, SLIDE)]
         for g, group in enumerate(self._groups):
@@ -51,7 +52,7 @@ class Catalogue:
             out += self._orders()
         for g, h in combinations(scalar[:_SWAP_JOINTS], 2):
             out += self._swaps(g, h)
-        return [*out, self._weightless()] if out else []
+        return [*out, *self._forceless()] if out else []
 
     def turned(self) -> dict[int, Change]:
         """Changes by which positions and commands of a joint both count the other way round, by id of the joint."""
@@ -168,7 +169,11 @@ class Catalogue:
                 change = Change(self._columns.qpos(), self._columns.ctrl(), chosen)
                 yield Alternative(change, tuple(poor), words, remedy, "gravity")
 
-    def _weightless(self) -> Alternative:
-        """Forces that the model lacks hold the robot: motors of its joints, or ground that it stands on deeper."""
-        change = Change(self._columns.qpos(), self._columns.ctrl(), (0.0, 0.0, 0.0))
-        return Alternative(change, tuple(range(len(self._groups))), "", "", "", nuisance=True)
+    def _forceless(self) -> Iterator[Alternative]:
+        """Forces that the model lacks hold the robot (motors, ground that it stands on deeper); or it has no friction.
+
+        Beside smaller forces, a motion looks as if it were larger.
+        """
+        every, same = tuple(range(len(self._groups))), self._columns.changed()
+        for change in (replace(same, gravity=(0.0, 0.0, 0.0)), replace(same, frictionless=True)):
+            yield Alternative(change, every, "", "", "", nuisance=True)

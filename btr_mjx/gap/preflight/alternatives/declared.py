@@ -24,7 +24,7 @@ def declared_lines(dataset: Dataset, change: Change) -> tuple[str, ...]:
     There are no lines for columns without names in the logs, and for what dataset.toml cannot say: another zero, the
     sign of a quaternion, gravity.
     """
-    if change.gravity is not None or change.switched_off or change.qpos.offset.any() or change.ctrl.offset.any():
+    if change.gravity is not None or change.qpos.offset.any() or change.ctrl.offset.any():
         return ()
     return joint_lines(dataset, change) if dataset.scales else _column_lines(dataset, change)
 
