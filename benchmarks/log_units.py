@@ -149,10 +149,9 @@ def paste(folder: Path, lines: Sequence[str]) -> None:
     """Write what a finding says to write."""
     first = next(i for i, line in enumerate(lines) if line.startswith(("Write this to", "Add this to")))
     last = next(i for i, line in enumerate(lines) if line.startswith("then run:"))
-    text = "\n".join(line for line in lines[first + 1 : last] if not line.startswith("(")) + "\n"
-    file = folder / "dataset.toml"
-    old = file.read_text() if lines[first].startswith("Add") else ""
-    file.write_text(f"{old}\n{text}" if old else text)
+    text = "\n".join(line for line in lines[first + 1 : last] if not line.startswith("("))
+    with (folder / "dataset.toml").open("a" if lines[first].startswith("Add") else "w") as file:
+        file.write(f"\n{text}\n")
 
 
 def after_pasting(folder: Path, findings: Sequence[Finding]) -> list[Finding]:
