@@ -14,7 +14,7 @@ from btr_mjx.gap.data.columns.model_columns import model_columns
 from btr_mjx.gap.data.columns.plan import LogOptions, read_log
 from btr_mjx.gap.data.columns.remedy import Answer
 from btr_mjx.gap.data.columns.required import CommandsMissing
-from btr_mjx.gap.data.columns.units import UNITS, Unit
+from btr_mjx.gap.data.columns.units import UNITS, ColumnUnit
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, Interpolation, read_header
 from btr_mjx.gap.data.files.readers import count_rows, is_log
 from btr_mjx.gap.data.files.ros_bag import TOPICS
@@ -121,7 +121,7 @@ def _options(
             raise InputError(f'{path}: [{key}]: expected lines of "NAME" = "NAME", got {found!r}')
         return found
 
-    units = {name: Unit.of(text) for name, text in texts("units").items()}
+    units = {name: ColumnUnit.of(text) for name, text in texts("units").items()}
     for name, unit in units.items():
         if unit is None:
             raise InputError(

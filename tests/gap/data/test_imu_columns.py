@@ -12,7 +12,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data import base_unmeasured, make_recording, open_logs, save_dataset, sensor_columns
 from btr_mjx.gap.data.columns.matching import match_columns
 from btr_mjx.gap.data.columns.required import check_matched
-from btr_mjx.gap.data.columns.units import Unit, conversion, stated_unit
+from btr_mjx.gap.data.columns.units import ColumnUnit, conversion, stated_unit
 
 Columns = dict[str, np.ndarray]
 SITE = '<freejoint name="root"/><site name="imu"/>'
@@ -34,8 +34,8 @@ def names_of(columns: list[str], model: mujoco.MjModel = ROBOT) -> tuple[dict[st
     return {c: t for (_, c), t in found.names.items() if c not in JOINTS}, " ".join(found.notes)
 
 
-def unit(text: str) -> Unit:
-    found = Unit.of(text)
+def unit(text: str) -> ColumnUnit:
+    found = ColumnUnit.of(text)
     assert found is not None
     return found
 

@@ -6,7 +6,7 @@ import pytest
 from robot_logs import ARM, FLOATER
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.data.columns.units import Unit, conversion, stated_unit, unit_text
+from btr_mjx.gap.data.columns.units import ColumnUnit, conversion, stated_unit, unit_text
 
 FLOATING = mujoco.MjModel.from_xml_string(FLOATER)
 MOTORS = mujoco.MjModel.from_xml_string(
@@ -48,7 +48,7 @@ def test_stated_units(name: str, expected: tuple[str, str | None]) -> None:
     ],
 )
 def test_units_with_numbers(text: str, quantity: str, factor: float) -> None:
-    found = Unit.of(text)
+    found = ColumnUnit.of(text)
     assert found is not None
     assert found.quantity == quantity
     assert found.factor == pytest.approx(factor)
@@ -56,11 +56,11 @@ def test_units_with_numbers(text: str, quantity: str, factor: float) -> None:
 
 @pytest.mark.parametrize("text", ["", "parsec", "4096", "-1", "0 rad", "rad/0", "1e400 rad", "/A", "rad/A/A"])
 def test_what_is_no_unit(text: str) -> None:
-    assert Unit.of(text) is None
+    assert ColumnUnit.of(text) is None
 
 
 def factor_of(column: str, text: str, model: mujoco.MjModel, where: str = "") -> float:
-    unit = Unit.of(text)
+    unit = ColumnUnit.of(text)
     assert unit is not None
     return conversion(column, unit, model, where)
 

@@ -12,7 +12,7 @@ from btr_mjx.gap.data.columns.leftover import with_leftovers
 from btr_mjx.gap.data.columns.matching import match_columns
 from btr_mjx.gap.data.columns.remedy import NO_FILE, Answer
 from btr_mjx.gap.data.columns.required import check_matched
-from btr_mjx.gap.data.columns.units import TIME_UNITS, Unit, conversion, stated_unit, to_seconds
+from btr_mjx.gap.data.columns.units import TIME_UNITS, ColumnUnit, conversion, stated_unit, to_seconds
 from btr_mjx.gap.data.files.readers import read_file
 from btr_mjx.gap.data.files.table import LogTable
 from btr_mjx.gap.data.lists import listed
@@ -38,7 +38,7 @@ class LogOptions:
     columns: Mapping[str, str] = field(default_factory=dict)
     topics: Mapping[str, str] = field(default_factory=dict)
     unmeasured: Collection[str] = ()
-    units: Mapping[str, Unit] = field(default_factory=dict)
+    units: Mapping[str, ColumnUnit] = field(default_factory=dict)
     answer: Answer = NO_FILE
     hold: bool = True
     forces: bool = False
@@ -125,7 +125,7 @@ def _plan(
     time: tuple[str, str | None] = ("", None)
     for name, target in own.items():
         said = table.units.get(name) or stated_unit(name)[1]
-        unit = options.units.get(name) or (Unit.of(said) if said else None)
+        unit = options.units.get(name) or (ColumnUnit.of(said) if said else None)
         factor = conversion(target, unit, model, f"{where}: column {name!r}") if unit else 1.0
         if target == "time":
             if unit and unit.text not in TIME_UNITS:

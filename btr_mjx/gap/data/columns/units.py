@@ -91,7 +91,7 @@ _SCALED = re.compile(
 
 
 @dataclass(frozen=True)
-class Unit:
+class ColumnUnit:
     """A unit of a column.
 
     Attributes:
@@ -105,10 +105,10 @@ class Unit:
     factor: float
 
     @staticmethod
-    def of(text: str) -> "Unit | None":
+    def of(text: str) -> "ColumnUnit | None":
         """The unit that a text stands for, with or without a number; None if it is none."""
         if unit := known_unit(text):
-            return Unit(unit, *UNITS[unit])
+            return ColumnUnit(unit, *UNITS[unit])
         found = _SCALED.fullmatch(text.strip())
         unit = known_unit(found["unit"]) if found else None
         if found is None or unit is None:
@@ -118,7 +118,7 @@ class Unit:
         scale = float(found["times"] or 1) / parts if parts else 0.0
         if not (math.isfinite(scale) and scale > 0):
             return None
-        return Unit(text.strip(), quantity, (-scale if found["sign"] == "-" else scale) * factor)
+        return ColumnUnit(text.strip(), quantity, (-scale if found["sign"] == "-" else scale) * factor)
 
 
 def known_unit(text: str) -> str | None:
@@ -164,7 +164,7 @@ def time_unit(time: np.ndarray) -> str:
     return next((unit for unit, largest in _TYPICAL if usual < largest), "s")
 
 
-def conversion(column: str, unit: Unit, model: mujoco.MjModel, where: str) -> float:
+def conversion(column: str, unit: ColumnUnit, model: mujoco.MjModel, where: str) -> float:
     """Factor from a stated unit to that of a column of the model; refuses that of another quantity."""
     expected = quantity_of(column, model)
     if expected is not None and expected != unit.quantity and (expected, unit.quantity) != ("turning", "angle"):
@@ -177,7 +177,7 @@ def conversion(column: str, unit: Unit, model: mujoco.MjModel, where: str) -> fl
 
 
 def unit_text(column: str, factor: float, model: mujoco.MjModel) -> str:
-    """A unit with this factor to that of a column of the model, as `Unit.of` reads it; "" of columns without units."""
+    """A unit with this factor to that of a column of the model, as `ColumnUnit.of` reads it; "" where it has none."""
     quantity, size = quantity_of(column, model), abs(factor)
     sign = "-" if factor < 0 else ""
     own = {unit: scale for unit, (kind, scale) in UNITS.items() if kind == quantity}

@@ -11,7 +11,7 @@ from btr_mjx.gap.effects import joint_of
 from btr_mjx.gap.preflight.predictions import Change, ColumnMap
 from btr_mjx.models import part_names
 
-HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+HINGE_TYPE, SLIDE_TYPE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.preflight.alternatives.alternative import HINGE, SLIDE, Alternative, LoggedColumns
+from btr_mjx.gap.preflight.alternatives.alternative import HINGE_TYPE, SLIDE_TYPE, Alternative, LoggedColumns
 from btr_mjx.gap.preflight.alternatives.joint_orders import joint_orders
 from btr_mjx.gap.preflight.alternatives.units import LARGE_LENGTH, joint_units, robot_units
 from btr_mjx.gap.preflight.predictions import Change, CoordinateGroup
@@ -38,12 +38,12 @@ class Catalogue:
           base: groups by which gravity and free and ball joints are questioned.
         """
         kinds = [int(self._model.jnt_type[group.joint]) for group in self._groups]
-        hinges = {group.joint: g for g, group in enumerate(self._groups) if kinds[g] == HINGE}
+        hinges = {group.joint: g for g, group in enumerate(self._groups) if kinds[g] == HINGE_TYPE}
         out = list(robot_units(self._columns, hinges)) if hinges else []
         out += [*self._gravity(base), *self._free(base)]
-        scalar = [g for g in poor if kinds[g] in (HINGE, SLIDE)]
+        scalar = [g for g in poor if kinds[g] in (HINGE_TYPE, SLIDE_TYPE)]
         for g, group in enumerate(self._groups):
-            if poor and kinds[g] in (HINGE, SLIDE):
+            if poor and kinds[g] in (HINGE_TYPE, SLIDE_TYPE):
                 signs = list(self._signs(g))
                 out += signs if g in scalar else [a for a in signs if a.elsewhere]
                 single = g in scalar and len(hinges) > 1  # the only hinge is the whole robot
@@ -107,7 +107,7 @@ class Catalogue:
     def _orders(self) -> Iterator[Alternative]:
         """Other orders of all hinges and slides: of numbered columns, or of names that were given to them."""
         groups = {group.joint: g for g, group in enumerate(self._groups)}
-        own = [j for j in groups if int(self._model.jnt_type[j]) in (HINGE, SLIDE)]
+        own = [j for j in groups if int(self._model.jnt_type[j]) in (HINGE_TYPE, SLIDE_TYPE)]
         single = {j: drives[0] for j, drives in self._drives.items() if len(drives) == 1 and j in own}
         driven = sorted(single, key=lambda j: single[j])
         for words, order in joint_orders(self._model, own, driven):

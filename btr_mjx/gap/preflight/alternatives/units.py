@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from btr_mjx.gap.preflight.alternatives.alternative import HINGE, SLIDE, Alternative, LoggedColumns
+from btr_mjx.gap.preflight.alternatives.alternative import HINGE_TYPE, SLIDE_TYPE, Alternative, LoggedColumns
 from btr_mjx.gap.preflight.findings import DEGREES_REMEDY
 from btr_mjx.gap.preflight.predictions import Change
 
@@ -84,8 +84,8 @@ def joint_units(columns: LoggedColumns, joint: int, group: int, poor: bool) -> I
     """Units of the positions and commands of a hinge or slide; `poor` where the model predicts it badly."""
     name, servos = columns.joints[joint], columns.servos([joint])
     loud = [a for a in servos if columns.command_reach[a] > LARGE_ANGLE]
-    large = columns.reach(joint) > (LARGE_ANGLE if columns.model.jnt_type[joint] == HINGE else LARGE_LENGTH)
-    turns = TURNS if poor and columns.model.jnt_type[joint] == HINGE else ()
+    large = columns.reach(joint) > (LARGE_ANGLE if columns.model.jnt_type[joint] == HINGE_TYPE else LARGE_LENGTH)
+    turns = TURNS if poor and columns.model.jnt_type[joint] == HINGE_TYPE else ()
     for unit in [*turns, *(_large_units(columns, joint) if large or loud else ())]:
         qpos, words = columns.joints_times([joint], unit.scale, unit.offset), f"looks like {unit.words}"
         ctrl = columns.ctrl(servos, unit.scale, unit.offset)
@@ -118,7 +118,7 @@ def _possible(columns: LoggedColumns, joints: Sequence[int], unit: PositionUnit)
             room = _BEYOND * (top - bottom)
             if low < bottom - room or high > top + room:
                 return False
-        elif columns.servos([joint]) and model.jnt_type[joint] == HINGE and max(-low, high) > _SERVO_REACH:
+        elif columns.servos([joint]) and model.jnt_type[joint] == HINGE_TYPE and max(-low, high) > _SERVO_REACH:
             return False
     return True
 
@@ -139,7 +139,7 @@ def _counts(columns: LoggedColumns, joints: Sequence[int]) -> Iterator[PositionU
 
 def _large_units(columns: LoggedColumns, joint: int) -> Iterator[PositionUnit]:
     """Units of a joint's positions that have large numbers."""
-    if columns.model.jnt_type[joint] == SLIDE:
+    if columns.model.jnt_type[joint] == SLIDE_TYPE:
         yield PositionUnit(1e-3, 0.0, "millimetres", "positions of slides are in m: divide by 1000")
         yield PositionUnit(1e-2, 0.0, "centimetres", "positions of slides are in m: divide by 100")
     else:
