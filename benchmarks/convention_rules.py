@@ -31,9 +31,9 @@ from btr_mjx.runs import write_json
 
 ALWAYS = 0.0
 RULES: Mapping[str, Sequence[tuple[str, str, object]]] = {
-    "units only of large numbers (angles)": [("preflight.alternatives", "_PLAUSIBLE_ANGLE", ALWAYS)],
-    "units only of large numbers (lengths)": [("preflight.alternatives", "_PLAUSIBLE_LENGTH", ALWAYS)],
-    "swaps of the worst joints only": [("preflight.alternatives", "_SWAP_JOINTS", 99)],
+    "units only of large numbers (angles)": [("preflight.alternatives.units", "LARGE_ANGLE", ALWAYS)],
+    "units only of large numbers (lengths)": [("preflight.alternatives.units", "LARGE_LENGTH", ALWAYS)],
+    "swaps of the worst joints only": [("preflight.alternatives.catalogue", "_SWAP_JOINTS", 99)],
     "first look in few stretches": [("preflight.conventions", "_SCREENED", 32)],
     "what is predicted well is not questioned": [("preflight.conventions", "_POOR", ALWAYS)],
     "the same for the base": [("preflight.conventions", "_POOR_BASE", ALWAYS)],

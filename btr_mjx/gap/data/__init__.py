@@ -15,6 +15,7 @@ from btr_mjx.gap.data.columns.model_columns import (
     state_columns,
 )
 from btr_mjx.gap.data.columns.remedy import Answer, quoted
+from btr_mjx.gap.data.columns.units import unit_text
 from btr_mjx.gap.data.control import INTERPOLATIONS, Interpolation
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, known_of, noise_of, read_header
 from btr_mjx.gap.data.files.readers import Reader, read_columns
@@ -70,6 +71,7 @@ __all__ = [
     "sensor_columns",
     "stairs",
     "state_columns",
+    "unit_text",
     "with_bases",
     "with_imu",
 ]

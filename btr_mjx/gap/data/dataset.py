@@ -31,8 +31,10 @@
     [columns]                           # optional: names of the log = names of the model, see `columns`
     "Hip angle" = "qpos/hip"
 
-    [units]                             # optional: units of columns whose names state none
+    [units]                             # optional: units of columns whose names state none, see `columns.units`
     "Hip angle" = "deg"
+    "Knee encoder" = "turn/4096"        # ticks
+    "Knee current" = "0.48 Nm/A"        # a torque constant
 
     [topics]                            # optional: of ROS recordings, see `files.ros_bag`
     joint_states = "/joint_states"
@@ -94,6 +96,7 @@ class Dataset:
       notes: warnings of the loader, reported by preflight.
       described: model and recordings as a dataset.toml has them, where these were given instead of one; else "".
       sources: names of columns in the logs, by name of the model; empty where they have the model's names.
+      factors: from columns of the log to those of the model, by name of the model; 1 where absent.
       scales: how numbers of a LeRobot dataset became positions, by joint; empty for other formats.
       coarse_step: time step of the model as written [s], where `model` and the recordings' have a finer one; else None.
       forces: whether measured forces of the actuators drive the model, instead of commands; `model` has motors then.
@@ -111,6 +114,7 @@ class Dataset:
     notes: tuple[str, ...] = ()
     described: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
+    factors: Mapping[str, float] = field(default_factory=dict)
     scales: Mapping[str, JointScale] = field(default_factory=dict)
     forces: bool = False
     coarse_step: float | None = None

@@ -14,7 +14,7 @@ from btr_mjx.gap.data.columns.model_columns import model_columns
 from btr_mjx.gap.data.columns.plan import LogOptions, read_log
 from btr_mjx.gap.data.columns.remedy import Answer
 from btr_mjx.gap.data.columns.required import CommandsMissing
-from btr_mjx.gap.data.columns.units import UNITS, known_unit
+from btr_mjx.gap.data.columns.units import UNITS, ColumnUnit
 from btr_mjx.gap.data.control import Control, Interpolation
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, read_header
 from btr_mjx.gap.data.files.readers import count_rows, is_log
@@ -104,7 +104,13 @@ def _load_table(
     groups = with_bases(groups, notes)
     recordings = _split(groups, [row.get("split") for row in listed_rows], str(path), parts[0] is None)
     recordings = _with_interpolation(recordings, head.control, notes)
-    return replace(head, recordings=tuple(recordings), notes=tuple(notes), sources=options.sources)
+    return replace(
+        head,
+        recordings=tuple(recordings),
+        notes=tuple(notes),
+        sources=options.sources,
+        factors=options.factors,
+    )
 
 
 def _options(table: Mapping[str, Any], head: Dataset, path: Path, notes: list[str], answer: Answer) -> LogOptions:
@@ -116,10 +122,13 @@ def _options(table: Mapping[str, Any], head: Dataset, path: Path, notes: list[st
             raise InputError(f'{path}: [{key}]: expected lines of "NAME" = "NAME", got {found!r}')
         return found
 
-    units = {name: known_unit(text) for name, text in texts("units").items()}
+    units = {name: ColumnUnit.of(text) for name, text in texts("units").items()}
     for name, unit in units.items():
         if unit is None:
-            raise InputError(f"{path}: [units] {name!r} = {table['units'][name]!r}: expected one of {', '.join(UNITS)}")
+            raise InputError(
+                f"{path}: [units] {name!r} = {table['units'][name]!r}: expected one of {', '.join(UNITS)}, perhaps "
+                'with a number ("turn/4096", "0.48 Nm/A")'
+            )
     check_keys(texts("topics"), tuple(TOPICS), f"{path}: [topics]", notes)
     unmeasured, names = toml_section(table, "model", path).get("unmeasured", []), part_names(head.model, "joint")
     if not isinstance(unmeasured, list) or not all(name in names for name in unmeasured):

@@ -9,7 +9,7 @@ from pathlib import Path
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.remedy import Answer, quoted
 from btr_mjx.gap.data.dataset import DATASET_FILE, Dataset, header_of, read_header
-from btr_mjx.gap.data.files.readers import is_log, log_suffixes
+from btr_mjx.gap.data.files.readers import is_log, is_prose, log_suffixes
 from btr_mjx.gap.data.lerobot.frames import is_lerobot_folder
 from btr_mjx.gap.data.lerobot.loading import load_lerobot
 from btr_mjx.gap.data.lists import listed
@@ -59,8 +59,10 @@ def _open_folder(folder: Path, progress: ReadProgress | None) -> Dataset:
         return load_table(head, table, folder / DATASET_FILE, progress)
     if (folder / SERVO_FILE).is_file():
         return load_servo(folder)
-    model, found = _inside(folder)
-    return open_logs(model, found, progress)
+    model, found, prose = _inside(folder)
+    data = open_logs(model, found, progress)
+    told = f"{listed(path.name for path in prose)}: text without a row of numbers, which is not read"
+    return replace(data, notes=(*data.notes, told)) if prose else data
 
 
 def open_logs(model: str | Path, logs: Sequence[str | Path], progress: ReadProgress | None = None) -> Dataset:
@@ -145,8 +147,8 @@ def _read(head: Dataset, text: str, where: Path) -> Dataset | None:
         return None
 
 
-def _inside(folder: Path) -> tuple[Path, list[Path]]:
-    """The model and the logs of a folder without a dataset.toml."""
+def _inside(folder: Path) -> tuple[Path, list[Path], list[Path]]:
+    """The model and the logs of a folder without a dataset.toml, and files of text that are none."""
     inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     models = [path for path in inside if path.suffix.lower() in _MODELS and path.is_file()]
     if is_lerobot_folder(folder):
@@ -155,12 +157,14 @@ def _inside(folder: Path) -> tuple[Path, list[Path]]:
                 f"{folder}: is a LeRobot dataset with {len(models)} MJCF files beside it; give the model, too: "
                 f"MODEL.xml {folder}"
             )
-        return models[0], [folder]
+        return models[0], [folder], []
     logs = [path for path in inside if is_log(path) and path.name.lower() not in _NO_LOGS]
+    prose = [path for path in logs if is_prose(path)]
+    logs = [path for path in logs if path not in prose]
     if len(models) != 1 or not logs:
         raise InputError(
             f"{folder}: it holds no {DATASET_FILE} and {len(models)} .xml files and {len(logs)} logs; expected a "
             f"{DATASET_FILE}, or one MJCF file and logs ({', '.join(log_suffixes())}); or give the files: MODEL.xml "
             f"LOG [LOG ...]; or {SERVO_FILE} beside .json files"
         )
-    return models[0], logs
+    return models[0], logs, prose

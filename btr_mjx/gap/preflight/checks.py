@@ -12,7 +12,9 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, Noise, base_unmeasured, counted, listed, noise_of
+from btr_mjx.gap.preflight.balances import carried_weight, idle_drives
 from btr_mjx.gap.preflight.conventions import position_conventions
+from btr_mjx.gap.preflight.drive_strength import drive_strength
 from btr_mjx.gap.preflight.excitation import NO_GROUND, JointTrack, joint_tracks, moves, unexcited_effects
 from btr_mjx.gap.preflight.findings import DEGREES_REMEDY, Finding, Level
 from btr_mjx.gap.preflight.imu import imu_conventions
@@ -86,7 +88,8 @@ def checked(dataset: Dataset, effects: Sequence[str] | None = None) -> tuple[Dat
         findings += imu
         findings += [Finding("error", "base", _NO_MOTION)] if any(map(base_unmeasured, dataset.recordings)) else []
     if all(finding.level != "error" for finding in findings):
-        findings += undecided_signs(dataset, noise) + stability(dataset)
+        findings += undecided_signs(dataset, noise) + drive_strength(dataset, noise)
+        findings += carried_weight(dataset) + idle_drives(dataset, noise) + stability(dataset)
     if all(finding.level != "error" for finding in findings):
         dataset, found = timed(dataset, noise)
         delays = response_delays(dataset, joints)

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from btr_mjx.gap.data import Dataset, Noise
-from btr_mjx.gap.preflight.alternatives import Alternative, Catalogue
+from btr_mjx.gap.preflight.alternatives.alternative import Alternative
+from btr_mjx.gap.preflight.alternatives.catalogue import Catalogue
+from btr_mjx.gap.preflight.alternatives.declared import declared_lines
 from btr_mjx.gap.preflight.comparison import Comparison, compare
 from btr_mjx.gap.preflight.findings import Finding
-from btr_mjx.gap.preflight.joint_orders import column_lines
-from btr_mjx.gap.preflight.lerobot_tables import joint_lines
 from btr_mjx.gap.preflight.predictions import Change, Predictor, typical_error
 
 STRETCHES = 32
@@ -35,6 +35,9 @@ _RATIO = 9.0
 """An alternative must divide the error (rms) of some coordinate by three at least: where the columns of a joint are
 wrong, its neighbours may show it more clearly than the joint itself."""
 
+_NO_MOTION = 1.0
+"""Error (rms) of a prediction that nothing moves: under a convention that fits, the model predicts better than that."""
+
 _MAX_FAULTS = 8
 
 
@@ -51,6 +54,7 @@ def position_conventions(dataset: Dataset, noise: Noise) -> list[Finding]:
     if len(predictor) < _FEWEST:
         return []
     faults = _faults(dataset, predictor)
+    lines, first = _lines(dataset, [fault for fault in faults if not fault.as_well])
     return [
         Finding(
             "error",
@@ -59,17 +63,19 @@ def position_conventions(dataset: Dataset, noise: Noise) -> list[Finding]:
             f"{fault.found.words()}; {fault.alternative.remedy}{fault.as_well}",
             fault.alternative.remedy,
             fault.found.evidence(),
-            _lines(dataset, fault.alternative),
+            lines if fault is first else (),
         )
         for fault in faults
     ]
 
 
-def _lines(dataset: Dataset, alternative: Alternative) -> tuple[str, ...]:
-    """What to write into dataset.toml, where it has lines for that."""
-    if dataset.scales:
-        return joint_lines(dataset, alternative.change)
-    return column_lines(dataset, alternative.change) if alternative.topic == "orders" else ()
+def _lines(dataset: Dataset, faults: Sequence[_Fault]) -> tuple[tuple[str, ...], _Fault | None]:
+    """What to write into dataset.toml for all faults that it can declare, and the first of them."""
+    change, first = Change.none(dataset.model), None
+    for fault in faults:
+        if declared_lines(dataset, fault.alternative.change):
+            change, first = fault.alternative.change.after(change), first or fault
+    return declared_lines(dataset, change), first
 
 
 def _faults(dataset: Dataset, predictor: Predictor) -> list[_Fault]:
@@ -132,8 +138,9 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
         if total > float(np.mean(np.log(now))):
             continue
         shown = max([found, *(compare(now[:, g], errors[i][:, g]) for g in range(now.shape[1]))], key=_strength)
-        if shown.decisive(_RATIO):
-            decisive.append((total, i, _Fault(alternative, found if found.decisive(_RATIO) else shown, "")))
+        shown = found if found.decisive(_RATIO) else shown
+        if shown.decisive(_RATIO) and shown.after < _NO_MOTION:
+            decisive.append((total, i, _Fault(alternative, shown, "")))
     if not decisive:
         return None
     decisive.sort(key=lambda entry: entry[0])

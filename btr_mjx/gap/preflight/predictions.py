@@ -68,12 +68,14 @@ class Change:
       qpos, ctrl: of the columns.
       gravity: (3,) of the model; None for that of each recording's model.
       switched_off: actuators without force.
+      frictionless: whether the model has no dry friction.
     """
 
     qpos: ColumnMap
     ctrl: ColumnMap
     gravity: tuple[float, float, float] | None = None
     switched_off: tuple[int, ...] = ()
+    frictionless: bool = False
 
     @classmethod
     def none(cls, model: mujoco.MjModel) -> "Change":
@@ -87,6 +89,7 @@ class Change:
             self.ctrl.after(first.ctrl),
             first.gravity if self.gravity is None else self.gravity,
             self.switched_off + first.switched_off,
+            self.frictionless or first.frictionless,
         )
 
 
@@ -194,7 +197,7 @@ class Predictor:
             for number in sorted({s.recording for s in self._stretches}):
                 recording = self._dataset.recordings[number]
                 # A model with meshes takes many megabytes, and most changes leave it alone.
-                key = id(recording.model), change.gravity, change.switched_off
+                key = id(recording.model), change.gravity, change.switched_off, change.frictionless
                 if key not in worlds:
                     worlds[key] = _changed(recording.model, change)
                     worlds[key].model.opt.timestep /= reading.step_divisor
@@ -279,6 +282,8 @@ def _changed(model: mujoco.MjModel, change: Change) -> World:
     if change.gravity is not None:
         world.model.opt.gravity[:] = change.gravity
     switched_off = list(change.switched_off)
+    if change.frictionless:
+        world.model.dof_frictionloss[:] = 0.0
     world.model.actuator_gainprm[switched_off], world.model.actuator_biasprm[switched_off] = 0.0, 0.0
     return world
 

@@ -5,10 +5,9 @@ show it, and only if the believed servo gives way to them.
 """
 
 from btr_mjx.gap.data import Dataset, Noise
-from btr_mjx.gap.preflight.alternatives import Catalogue
+from btr_mjx.gap.preflight.alternatives.catalogue import Catalogue
 from btr_mjx.gap.preflight.comparison import compare
 from btr_mjx.gap.preflight.findings import Finding
-from btr_mjx.gap.preflight.lerobot_tables import toml_lines
 from btr_mjx.gap.preflight.predictions import Change, Predictor, typical_error
 from btr_mjx.models import part_names
 
@@ -16,7 +15,10 @@ _STRETCHES = 32
 
 
 def undecided_signs(dataset: Dataset, noise: Noise) -> list[Finding]:
-    """A note that names the joints whose sign cannot be told, with what would declare it; of LeRobot datasets only."""
+    """A note that names the joints whose sign cannot be told, and where it is declared; of LeRobot datasets only.
+
+    It has no lines to write: they would turn joints that may be right.
+    """
     if not dataset.scales:
         return []
     predictor, names = Predictor(dataset, noise, _STRETCHES), part_names(dataset.model, "joint")
@@ -39,9 +41,7 @@ def undecided_signs(dataset: Dataset, noise: Noise) -> list[Finding]:
             "note",
             "sign",
             f"{as_modelled}{those} cannot be told from these data: LeRobot's calibration is taken to be that of the "
-            "model. If a joint counts the other way round, or the model's 0 is another pose, declare it like this",
-            "",
-            {},
-            toml_lines(dataset, [scale.heading, f"sign = {-scale.sign}", scale.zero_line()]),
+            "model. Who knows that a joint counts the other way round, or that the model's 0 is another pose, says so "
+            f"with sign and {scale.zero_key} below {scale.heading} in dataset.toml",
         )
     ]

@@ -12,7 +12,7 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.data import base_unmeasured, make_recording, open_logs, save_dataset, sensor_columns
 from btr_mjx.gap.data.columns.matching import match_columns
 from btr_mjx.gap.data.columns.required import check_matched
-from btr_mjx.gap.data.columns.units import conversion, stated_unit
+from btr_mjx.gap.data.columns.units import ColumnUnit, conversion, stated_unit
 
 Columns = dict[str, np.ndarray]
 SITE = '<freejoint name="root"/><site name="imu"/>'
@@ -34,6 +34,12 @@ def names_of(columns: list[str], model: mujoco.MjModel = ROBOT) -> tuple[dict[st
     return {c: t for (_, c), t in found.names.items() if c not in JOINTS}, " ".join(found.notes)
 
 
+def unit(text: str) -> ColumnUnit:
+    found = ColumnUnit.of(text)
+    assert found is not None
+    return found
+
+
 def sensors_of(form: str, sensor: str, names: str, parts: str) -> Columns:
     prefix = "q" if len(parts) > 3 else ""
     return {form.format(n): f"sensor/{sensor}/{prefix}{p}" for n, p in zip(names, parts, strict=True)}
@@ -47,7 +53,7 @@ def test_columns_follow_the_model() -> None:
     )
     turn = [f"sensor/turn/{part}" for part in ("qw", "qx", "qy", "qz")]
     assert sensor_columns(scalar) == ["sensor/toe", *turn, "sensor/speed"]
-    assert conversion("sensor/speed", "deg/s", scalar, "x") == pytest.approx(np.pi / 180)
+    assert conversion("sensor/speed", unit("deg/s"), scalar, "x") == pytest.approx(np.pi / 180)
 
 
 @pytest.mark.parametrize(
@@ -131,9 +137,9 @@ def test_units_in_names() -> None:
     assert stated_unit("acc_x_g") == ("acc_x", "g")
     assert stated_unit("mass_g") == ("mass_g", None)
     assert stated_unit("acc_x [m/s²]") == ("acc_x", "m/s^2")
-    assert conversion("sensor/imu_acc/x", "g", ROBOT, "x") == 9.80665
+    assert conversion("sensor/imu_acc/x", unit("g"), ROBOT, "x") == 9.80665
     with pytest.raises(InputError, match="needs a unit of acceleration"):
-        conversion("sensor/imu_acc/x", "rad/s", ROBOT, "x")
+        conversion("sensor/imu_acc/x", unit("rad/s"), ROBOT, "x")
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from robot_logs import ARM, FLOATER
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data.columns.matching import match_columns
 from btr_mjx.gap.data.columns.required import check_matched, may_be
-from btr_mjx.gap.data.columns.units import TIME_UNITS, conversion, stated_unit, time_unit, to_seconds
+from btr_mjx.gap.data.columns.units import TIME_UNITS, time_unit, to_seconds
 
 MODEL, FLOATING = mujoco.MjModel.from_xml_string(ARM), mujoco.MjModel.from_xml_string(FLOATER)
 DRIVES = (
@@ -270,34 +270,6 @@ def test_units_of_time_by_interval_and_epoch(unit: str, rate: int, epoch: float)
     factor, origin = to_seconds(stamps, None, notes)
     np.testing.assert_allclose((stamps - origin) * factor, true, atol=6e-7)
     assert bool(notes) == (unit != "s" or epoch > 0)
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("q_hip [deg]", ("q_hip", "deg")),
-        ("q_hip (°)", ("q_hip", "deg")),
-        ("hip_deg", ("hip", "deg")),
-        ("time_ms", ("time", "ms")),
-        ("time [s]", ("time", "s")),
-        ("u[0]", ("u[0]", None)),
-        ("wheel_m", ("wheel_m", None)),
-        ("speed (rpm)", ("speed", "rpm")),
-    ],
-)
-def test_stated_units(name: str, expected: tuple[str, str | None]) -> None:
-    assert stated_unit(name) == expected
-
-
-def test_conversions() -> None:
-    assert conversion("qpos/hip", "deg", FLOATING, "") == pytest.approx(np.pi / 180)
-    assert conversion("qvel/hip", "rpm", FLOATING, "") == pytest.approx(2 * np.pi / 60)
-    assert conversion("qpos/root/x", "mm", FLOATING, "") == pytest.approx(1e-3)
-    assert conversion("ctrl/hip", "deg", FLOATING, "") == pytest.approx(np.pi / 180)
-    assert conversion("ctrl/m1", "mnm", MOTORS, "") == pytest.approx(1e-3)
-    assert conversion("ctrl/m1", "deg", MOTORS, "") == 1.0
-    with pytest.raises(InputError, match="is in mm, 'qpos/hip' needs"):
-        conversion("qpos/hip", "mm", FLOATING, "log.csv: column 'hip'")
 
 
 def test_a_clock_that_runs_since_long_ago_starts_anew() -> None:

@@ -12,7 +12,7 @@ import pytest
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Recording, open_dataset
 from btr_mjx.gap.preflight import preflight, refuse_errors
-from btr_mjx.gap.preflight.joint_orders import joint_orders
+from btr_mjx.gap.preflight.alternatives.joint_orders import joint_orders
 from tests.support.convention_logs import dataset, log, sines
 
 LIMB = """<body pos="{x} {y} 0"><joint name="{name}_hip" axis="1 0 0" damping="0.2" armature="0.01"/>

@@ -71,10 +71,17 @@ class ModelNames:
         """The words that name joints and actuators of a model, those that name one only."""
         joints, actuators = part_names(model, "joint"), part_names(model, "actuator")
         of_joint, of_actuator = _unique(joints), _unique(actuators)
-        for i, name in enumerate(actuators):  # a command may have the name of the joint that it moves
-            if int(model.actuator_trntype[i]) == mujoco.mjtTrn.mjTRN_JOINT:
-                joint = joints[int(model.actuator_trnid[i, 0])]
-                for form in [form for form, owner in of_joint.items() if owner == joint]:
+        tendons, sites = part_names(model, "tendon"), part_names(model, "site")
+        parts = {
+            int(mujoco.mjtTrn.mjTRN_JOINT): (joints, of_joint),
+            int(mujoco.mjtTrn.mjTRN_TENDON): (tendons, _unique(tendons)),
+            int(mujoco.mjtTrn.mjTRN_SITE): (sites, _unique(sites)),
+        }
+        moved = list(zip(model.actuator_trntype.tolist(), model.actuator_trnid[:, 0].tolist(), strict=True))
+        for name, (kind, part) in zip(actuators, moved, strict=False):  # a command may have the name of what it moves
+            own, forms = parts.get(kind, ([], {}))
+            if own and (own is joints or moved.count((kind, part)) == 1):
+                for form in [form for form, owner in forms.items() if owner == own[part]]:
                     of_actuator.setdefault(form, name)
         aliases = {form: (of_joint.get(form), of_actuator.get(form)) for form in {*of_joint, *of_actuator} if form}
         if model.njnt == 1 and model.nu <= 1 and int(model.jnt_type[0]) not in SUFFIXES:

@@ -8,10 +8,11 @@ import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
+from btr_mjx.gap.data.columns.leftover import with_leftovers
 from btr_mjx.gap.data.columns.matching import match_columns
 from btr_mjx.gap.data.columns.remedy import NO_FILE, Answer
 from btr_mjx.gap.data.columns.required import check_matched
-from btr_mjx.gap.data.columns.units import conversion, stated_unit, to_seconds
+from btr_mjx.gap.data.columns.units import TIME_UNITS, ColumnUnit, conversion, stated_unit, to_seconds
 from btr_mjx.gap.data.files.readers import read_file
 from btr_mjx.gap.data.files.table import LogTable
 from btr_mjx.gap.data.lists import listed
@@ -32,17 +33,19 @@ class LogOptions:
       hold: hold commands of a slower clock between their samples, instead of interpolating them.
       shift: seconds that are added to the times of commands.
       sources: filled with names of the log by name of the model when columns are matched.
+      factors: filled with factors of what was converted, by name of the model.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
     topics: Mapping[str, str] = field(default_factory=dict)
     unmeasured: Collection[str] = ()
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, ColumnUnit] = field(default_factory=dict)
     answer: Answer = NO_FILE
     hold: bool = True
     shift: float = 0.0
     forces: bool = False
     sources: dict[str, str] = field(default_factory=dict)
+    factors: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -95,10 +98,13 @@ def plan_tables(
         if name not in known:
             near = nearest_names(name, known)
             raise InputError(f"{where}: [units] {name!r}: there is no such column; nearest in the file: {near}")
-    units = {name: unit for table in tables for name, unit in table.units.items()} | dict(options.units)
+    units = {name: unit for table in tables for name, unit in table.units.items()}
+    units |= {name: unit.text for name, unit in options.units.items()}
     matched = match_columns(
         named, model, options.columns, where, options.answer, labelled=len(tables) > 1, forces=options.forces
     )
+    if not options.forces:
+        matched = with_leftovers(matched, named, model, options.unmeasured, units)
     check_matched(matched, named, model, where, options.unmeasured, options.answer, units)
     notes += matched.notes
     options.sources.update({target: name for (_, name), target in matched.names.items()})
@@ -120,13 +126,19 @@ def _plan(
     factors, told = dict[str, float](), list[str]()
     time: tuple[str, str | None] = ("", None)
     for name, target in own.items():
-        unit = options.units.get(name) or table.units.get(name) or stated_unit(name)[1]
+        said = table.units.get(name) or stated_unit(name)[1]
+        unit = options.units.get(name) or (ColumnUnit.of(said) if said else None)
         factor = conversion(target, unit, model, f"{where}: column {name!r}") if unit else 1.0
         if target == "time":
-            time = name, unit
+            if unit and unit.text not in TIME_UNITS:
+                raise InputError(
+                    f"{where}: column {name!r}: is in {unit.text}; expected one of {', '.join(TIME_UNITS)}"
+                )
+            time = name, unit.text if unit else None
         elif factor != 1:
             factors[target] = factor
-            told.append(f"{name} from {unit}")
+            told.append(f"{name} from {unit.text if unit else ''}")
+    options.factors.update(factors)
     if told:
         notes.append(f"converted to SI units: {listed(told)}")
     unused = [name for name in table.columns if name not in own]

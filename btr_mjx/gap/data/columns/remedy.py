@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from btr_mjx.errors import InputError, command_line
+from btr_mjx.gap.data.lists import listed
 from btr_mjx.models import nearest_names
 
 
@@ -52,8 +53,18 @@ class Answer:
         """What to write into the file, and to run then: tables of TOML, what to `fill` in, and `more` that explains."""
         where = f"Write this to {self.file}" if self.head else f"Add this to {self.file}"
         head = [*self.head.rstrip().splitlines(), ""] if self.head else []
+        if not self.head and (twice := [line for line in tables if line in self._headings()]):
+            more = [
+                f"({listed(twice)} is there already: its lines go below it, in place of those of the same names)",
+                *more,
+            ]
         run = f"then run: {command_line('btr_mjx.diagnose', [str(self.file.parent)])}"
         return [f"{where}{f', {fill}' if fill else ''}:", "", *head, *tables, "", *more, run]
+
+    def _headings(self) -> list[str]:
+        """The lines of the file that begin a table."""
+        text = self.file.read_text(encoding="utf-8", errors="replace") if self.file.is_file() else ""
+        return [line.strip() for line in text.splitlines() if line.startswith("[")]
 
 
 NO_FILE = Answer()

@@ -16,7 +16,7 @@ from btr_mjx.gap.data.columns.model_columns import (
     unmeasured_bases,
 )
 from btr_mjx.gap.data.columns.remedy import NO_FILE, Answer
-from btr_mjx.gap.data.columns.units import UNITS, commanded, quantity_of, stated_unit
+from btr_mjx.gap.data.columns.units import ColumnUnit, commanded, quantity_of, stated_unit
 from btr_mjx.gap.data.columns.words import OTHER, TIME, kind_of, words
 from btr_mjx.gap.data.lists import listed
 from btr_mjx.models import part_names
@@ -92,8 +92,8 @@ def may_be(column: str, target: str, model: mujoco.MjModel, unit: str | None = N
     """Whether a column of a log may be one of a model, by the quantity and the unit that it, or its file, states."""
     name, own = stated_unit(column)
     said, quantity = frozenset(words(name)), quantity_of(target, model)
-    unit = unit or own
-    if unit and quantity and UNITS[unit][0] != quantity:
+    stated = ColumnUnit.of(unit or own or "")
+    if stated and quantity and stated.quantity != quantity:
         return False
     if target == "time" or said & set(TIME):
         return target == "time" and not any(kind_of(said))

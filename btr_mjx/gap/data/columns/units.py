@@ -2,11 +2,15 @@
 
 Only units that are written down are converted, and those of time stamps, which their interval gives away. Whether
 numbers without a unit look like degrees or millimetres is for preflight to ask.
+
+A unit in dataset.toml may have a number: "turn/4096" are the ticks of an encoder, "0.48 Nm/A" amperes with a torque
+constant, "-rad" an angle that counts the other way round.
 """
 
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -23,11 +27,13 @@ UNITS: Mapping[str, tuple[str, float]] = {
     **{unit: ("time", seconds) for unit, seconds in TIME_UNITS.items()},
     "rad": ("angle", 1.0),
     "deg": ("angle", math.pi / 180),
+    "turn": ("angle", 2 * math.pi),
     "m": ("length", 1.0),
     "cm": ("length", 1e-2),
     "mm": ("length", 1e-3),
     "rad/s": ("turning", 1.0),
     "deg/s": ("turning", math.pi / 180),
+    "turn/s": ("turning", 2 * math.pi),
     "rpm": ("turning", 2 * math.pi / 60),
     "m/s": ("moving", 1.0),
     "cm/s": ("moving", 1e-2),
@@ -48,6 +54,8 @@ _SPELLINGS: Mapping[str, str] = {
     **dict.fromkeys(("nsec", "nsecs", "nanosecond", "nanoseconds", "nanos"), "ns"),
     **dict.fromkeys(("radian", "radians"), "rad"),
     **dict.fromkeys(("°", "degs", "degree", "degrees"), "deg"),
+    **dict.fromkeys(("turns", "rev", "revs", "revolution", "revolutions"), "turn"),
+    **dict.fromkeys(("turns/s", "turn/sec", "turns/sec", "rev/s", "revs/s", "rev/sec", "rps"), "turn/s"),
     **dict.fromkeys(("rad/sec", "rads", "radps", "rad*s-1", "rad s-1"), "rad/s"),
     **dict.fromkeys(("°/s", "deg/sec", "degs/s", "dps", "degree/s", "degrees/s"), "deg/s"),
     **dict.fromkeys(("1/min", "rev/min", "u/min"), "rpm"),
@@ -59,11 +67,11 @@ _OTHER = ("", "-", "1", "a", "ma", "v", "mv", "w", "%", "c", "°c", "degc", "k",
 """What else may stand in a row of units: nothing is converted there."""
 
 _AS_SUFFIX = (
-    *("deg", "degrees", "rad", "mm", "cm", "rpm", "dps"),
+    *("deg", "degrees", "rad", "turns", "revolutions", "mm", "cm", "rpm", "dps"),
     *("sec", "secs", "ms", "msec", "us", "usec", "ns", "nsec"),
 )
 """Units that the last word of a name may be; shorter ones are too often something else."""
-_A_SECOND = re.compile(r"(.+?)[\s_./-]+((?:deg|rad)[/_]s|m[/_]s(?:\^2|2|²)|mps2|ms2)", re.IGNORECASE)
+_A_SECOND = re.compile(r"(.+?)[\s_./-]+((?:deg|rad|turns?|revs?)[/_]s|m[/_]s(?:\^2|2|²)|mps2|ms2)", re.IGNORECASE)
 """Rates at the end of a name."""
 
 _TYPICAL = (("s", 0.5), ("ms", 200.0), ("us", 2e5), ("ns", 2e8))
@@ -71,6 +79,46 @@ _TYPICAL = (("s", 0.5), ("ms", 200.0), ("us", 2e5), ("ns", 2e8))
 
 _EPOCH = (1e9, 3e9)
 """Seconds since 1970 between 2001 and 2065."""
+
+
+_NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
+_SCALED = re.compile(
+    rf"(?P<sign>[-+]?)\s*(?P<times>{_NUMBER})?\s*\*?\s*(?P<unit>[^\d.\s+-].*?)"
+    rf"(?:\s*/\s*(?:a|amps?|amperes?|ticks?|counts?))?(?:\s*/\s*(?P<parts>{_NUMBER}))?",
+    re.IGNORECASE,
+)
+"""A unit with a number before or after it; what is counted, ampere or ticks, may be named."""
+
+
+@dataclass(frozen=True)
+class ColumnUnit:
+    """A unit of a column.
+
+    Attributes:
+      text: as it was written, for messages.
+      quantity: a first entry of `UNITS`.
+      factor: to SI units.
+    """
+
+    text: str
+    quantity: str
+    factor: float
+
+    @staticmethod
+    def of(text: str) -> "ColumnUnit | None":
+        """The unit that a text stands for, with or without a number; None if it is none."""
+        if unit := known_unit(text):
+            return ColumnUnit(unit, *UNITS[unit])
+        found = _SCALED.fullmatch(text.strip())
+        unit = known_unit(found["unit"]) if found else None
+        if found is None or unit is None:
+            return None
+        quantity, factor = UNITS[unit]
+        parts = float(found["parts"] or 1)
+        scale = float(found["times"] or 1) / parts if parts else 0.0
+        if not (math.isfinite(scale) and scale > 0):
+            return None
+        return ColumnUnit(text.strip(), quantity, (-scale if found["sign"] == "-" else scale) * factor)
 
 
 def known_unit(text: str) -> str | None:
@@ -116,15 +164,47 @@ def time_unit(time: np.ndarray) -> str:
     return next((unit for unit, largest in _TYPICAL if usual < largest), "s")
 
 
-def conversion(column: str, unit: str, model: mujoco.MjModel, where: str) -> float:
-    """Factor from a stated unit of `UNITS` to that of a column of the model; refuses that of another quantity."""
-    quantity, factor = UNITS[unit]
+def conversion(column: str, unit: ColumnUnit, model: mujoco.MjModel, where: str) -> float:
+    """Factor from a stated unit to that of a column of the model; refuses that of another quantity."""
     expected = quantity_of(column, model)
-    if expected is not None and expected != quantity and (expected, quantity) != ("turning", "angle"):
+    if expected is not None and expected != unit.quantity and (expected, unit.quantity) != ("turning", "angle"):
         if column.startswith("ctrl/"):  # commands of other drives have units of their own
             return 1.0
-        raise InputError(f"{where}: is in {unit}, {column!r} needs a unit of {expected}; correct the unit or the name")
-    return 1.0 if expected is None else factor  # "velocity_deg" is meant a second
+        raise InputError(
+            f"{where}: is in {unit.text}, {column!r} needs a unit of {expected}; correct the unit or the name"
+        )
+    return 1.0 if expected is None else unit.factor  # "velocity_deg" is meant a second
+
+
+def unit_text(column: str, factor: float, model: mujoco.MjModel) -> str:
+    """A unit with this factor to that of a column of the model, as `ColumnUnit.of` reads it; "" where it has none."""
+    quantity, size = quantity_of(column, model), abs(factor)
+    sign = "-" if factor < 0 else ""
+    own = {unit: scale for unit, (kind, scale) in UNITS.items() if kind == quantity}
+    hinge = quantity == "force" and _acts_on_hinge(column, model)
+    own = {u: f for u, f in own.items() if quantity != "force" or (u in ("nm", "mnm")) == hinge}
+    if not own or not size:
+        return ""
+    spelled = {"nm": "Nm", "mnm": "mNm", "n": "N", "mn": "mN"}
+    for unit, scale in own.items():
+        if math.isclose(size, scale, rel_tol=1e-6):
+            return sign + spelled.get(unit, unit)
+    for unit in ("turn", "turn/s"):
+        if (
+            unit in own
+            and (parts := round(own[unit] / size)) > 1
+            and math.isclose(size * parts, own[unit], rel_tol=1e-6)
+        ):
+            return f"{sign}{unit}/{parts}"
+    unit = next(unit for unit, scale in own.items() if scale == 1.0)
+    return f"{factor:.4g} {spelled.get(unit, unit)}"
+
+
+def _acts_on_hinge(column: str, model: mujoco.MjModel) -> bool:
+    """Whether an actuator, by a column of it, turns a hinge."""
+    i = part_names(model, "actuator").index(column.partition("/")[2])
+    on_joint = int(model.actuator_trntype[i]) == mujoco.mjtTrn.mjTRN_JOINT
+    return on_joint and int(model.jnt_type[model.actuator_trnid[i, 0]]) == mujoco.mjtJoint.mjJNT_HINGE
 
 
 def commanded(model: mujoco.MjModel, actuator: str) -> str:
@@ -151,7 +231,7 @@ def quantity_of(column: str, model: mujoco.MjModel) -> str | None:
     if kind == "ctrl":
         i = part_names(model, "actuator").index(name)
         if int(model.actuator_trntype[i]) != mujoco.mjtTrn.mjTRN_JOINT:
-            return None
+            return "force" if commanded(model, name) == "effort" else None
         name, driven = joints[int(model.actuator_trnid[i, 0])], commanded(model, name)
     elif kind in ("qpos", "qvel"):
         driven = "position" if kind == "qpos" else "velocity"

@@ -23,7 +23,7 @@ NEUTRAL = _set(
 """Words that say nothing of what a column holds."""
 OTHER = _set(
     "acc accel acceleration current currents temperature temperatures temp load voltage voltages power error err "
-    "errors raw filtered std var variance min max limit limits"
+    "errors raw filtered std var variance min max limit limits status mode flag flags fault enabled id counter"
 )
 """Words that say that a column holds something else than what a model needs."""
 BASE = _set("base root trunk torso body pelvis odom odometry mocap pose twist link floating free imu vicon optitrack")

@@ -17,7 +17,7 @@ from btr_mjx.gap.data.files.frames import READ_ERRORS, count_parquet_rows, parqu
 from btr_mjx.gap.data.files.hdf5 import count_hdf5_rows, read_hdf5
 from btr_mjx.gap.data.files.ros_bag import count_messages, is_ros_folder, read_ros
 from btr_mjx.gap.data.files.table import LogTable
-from btr_mjx.gap.data.files.text import count_lines, read_text_table, text_blocks
+from btr_mjx.gap.data.files.text import count_lines, holds_numbers, read_text_table, text_blocks
 from btr_mjx.gap.data.files.torch_file import read_torch
 from btr_mjx.runs import installed_objects
 
@@ -48,8 +48,9 @@ class Reader:
 
 
 _ROS = Reader((".mcap", ".db3", ".bag"), read_ros, is_ros_folder, count_messages)
+_TEXT = Reader((".csv", ".tsv", ".txt", ".dat", ".log"), read_text_table, None, count_lines, text_blocks)
 READERS = (
-    Reader((".csv", ".tsv", ".txt", ".dat", ".log"), read_text_table, None, count_lines, text_blocks),
+    _TEXT,
     Reader((".parquet",), read_parquet_table, None, count_parquet_rows, parquet_blocks),
     Reader((".npz",), read_npz, None, count_npz_rows),
     Reader((".h5", ".hdf5", ".hdf"), read_hdf5, None, count_hdf5_rows),
@@ -79,6 +80,11 @@ def reader_of(path: Path) -> Reader | None:
 def is_log(path: Path) -> bool:
     """Whether a path has the form of a recording."""
     return path.exists() and reader_of(path) is not None
+
+
+def is_prose(path: Path) -> bool:
+    """Whether a file has the form of a text table, and something else than rows of numbers in it."""
+    return reader_of(path) is _TEXT and path.stat().st_size > 0 and not holds_numbers(path)
 
 
 def read_file(

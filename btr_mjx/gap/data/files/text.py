@@ -33,6 +33,7 @@ _COMMENTS = ("#", "%", "//")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _MISSING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "+inf", "true", "false")
 """Texts, in lower case, that may stand where a number belongs."""
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _SAMPLE_LINES = 200
 """Lines at the beginning that decide about the dialect."""
 
@@ -64,7 +65,7 @@ def read_dialect(path: Path) -> Dialect:
         head = file.read(MAX_HEADER_BYTES)
     if not head.strip():
         raise DamagedFile(f"{path}: the file is empty")
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+    if head.startswith(_UTF_16):
         raise DamagedFile(f"{path}: it is UTF-16; save the file as UTF-8")
     if b"\n" not in head and len(head) == MAX_HEADER_BYTES:
         raise DamagedFile(f"{path}: the first line has no end within {MAX_HEADER_BYTES} bytes; expected column names")
@@ -83,6 +84,20 @@ def read_dialect(path: Path) -> Dialect:
     start = sum(map(len, lines[:first]))
     stated = {name: unit for name, unit in zip(names, units, strict=True) if name and unit}
     return Dialect(separator, decimal_comma, tuple(names), stated, start, comment)
+
+
+def holds_numbers(path: Path) -> bool:
+    """Whether a text file has a line that may be a row of a table: two or more numbers, and not many words.
+
+    UTF-16 may hold one; `read_dialect` refuses it.
+    """
+    with path.open("rb") as file:
+        head = file.read(MAX_HEADER_BYTES)
+    if head.startswith(_UTF_16):
+        return True
+    texts = [_decoded(line) for line in head.splitlines()[:_SAMPLE_LINES]]
+    lines = [(i, text) for i, text in enumerate(texts) if text.strip() and not text.lstrip().startswith(_COMMENTS)]
+    return any(_longest_run(lines, separator, decimal_comma) for separator, decimal_comma in _DIALECTS)
 
 
 def _decoded(line: bytes) -> str:

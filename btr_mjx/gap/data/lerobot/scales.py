@@ -75,16 +75,16 @@ class JointScale:
         """The line of dataset.toml that begins the joint's table."""
         return heading(self.name)
 
-    def zero_line(self) -> str:
-        """The line of that table that says where 0 is."""
-        if self.unit in FACTORS:
-            return f"zero = {self.zero:.6g}"
-        return f"range = [{self.ends[0]:.6g}, {self.ends[1]:.6g}]"
+    @property
+    def zero_key(self) -> str:
+        """The key of that table that says where 0 is."""
+        return "zero" if self.unit in FACTORS else "range"
 
     def lines(self) -> list[str]:
         """The table of dataset.toml that says this."""
         own = [f"joint = {quoted(self.joint)}", f"unit = {quoted(self.unit)}", f"sign = {self.sign}"]
-        return [self.heading, *own, self.zero_line()]
+        zero = f"{self.zero:.6g}" if self.unit in FACTORS else f"[{self.ends[0]:.6g}, {self.ends[1]:.6g}]"
+        return [self.heading, *own, f"{self.zero_key} = {zero}"]
 
 
 def check_scale(table: Mapping[str, Any], where: str, notes: list[str]) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from robot_logs import ARM, simulated_log
 
 from btr_mjx.errors import DamagedFile, InputError
-from btr_mjx.gap.data import open_logs
+from btr_mjx.gap.data import open_dataset, open_logs
 from btr_mjx.gap.data.files import text
 from btr_mjx.gap.data.files.text import parse_rows, read_dialect, read_text_table
 from btr_mjx.gap.data.recordings.stretches import Share, read_stretches
@@ -127,3 +127,41 @@ def test_columns_of_text_without_a_use_do_no_harm(tmp_path: Path) -> None:
     data = open_logs(tmp_path / "arm.xml", [tmp_path / "log.csv"])
     assert any("without a use: mode" in note for note in data.recordings[0].notes)
     np.testing.assert_allclose(np.concatenate([r.qpos for r in data.recordings]), log.qpos, atol=1e-12)
+
+
+def folder_of_a_log(folder: Path) -> Path:
+    log = simulated_log(ARM)
+    (folder / "arm.xml").write_text(ARM)
+    table = np.column_stack([log.time, log.qpos, log.ctrl])
+    names = "t,q_shoulder,q_elbow,shoulder_cmd,elbow_cmd"
+    np.savetxt(folder / "run.csv", table, delimiter=",", header=names, comments="")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        (
+            "expected.txt",
+            "Source: issue #132, 0.08 N m/rad at the knee.\nRight: joint_stiffness 0.08, at joint:knee.\n",
+        ),
+        ("notes.log", "run 1, the cable was loose\n"),
+        ("names.csv", "time,q_shoulder,q_elbow\n"),
+    ],
+)
+def test_notes_beside_logs_are_left_out_and_told(tmp_path: Path, name: str, content: str) -> None:
+    folder = folder_of_a_log(tmp_path)
+    (folder / name).write_text(content)
+    data = open_dataset(folder)
+    assert {one.name.split(" ")[0] for one in data.recordings} == {"run"}
+    assert any(note.startswith(f"{name}: text without a row of numbers") for note in data.notes)
+    with pytest.raises(InputError, match=name):  # who names a file means it
+        open_logs(folder / "arm.xml", [folder / "run.csv", folder / name])
+
+
+@pytest.mark.parametrize("content", ["", "time,q\n1,2\n".encode("utf-16")], ids=["empty", "UTF-16"])
+def test_a_log_that_was_lost_is_no_note(tmp_path: Path, content: str | bytes) -> None:
+    folder = folder_of_a_log(tmp_path)
+    (folder / "run2.csv").write_bytes(content.encode() if isinstance(content, str) else content)
+    with pytest.raises((InputError, DamagedFile), match=r"run2\.csv"):
+        open_dataset(folder)

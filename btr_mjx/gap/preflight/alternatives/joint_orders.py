@@ -1,14 +1,11 @@
-"""Orders in which programs list the joints of a robot, and the lines of dataset.toml that say so."""
+"""Orders in which programs list the joints of a robot."""
 
 from collections.abc import Iterator, Sequence
 from itertools import permutations
 
 import mujoco
-import numpy as np
 
-from btr_mjx.gap.data import Dataset, control_columns, listed, quoted, state_columns
-from btr_mjx.gap.preflight.lerobot_tables import toml_lines
-from btr_mjx.gap.preflight.predictions import Change
+from btr_mjx.gap.data import listed
 from btr_mjx.models import part_names
 
 _MAX_LIMBS = 4
@@ -48,31 +45,6 @@ def joint_orders(
         if one not in seen:
             seen.append(one)
             yield f"{words}: {listed(names[j] for j in one)}", one
-
-
-def column_lines(dataset: Dataset, change: Change) -> tuple[str, ...]:
-    """What to write into dataset.toml where columns have another order, and to run then.
-
-    Velocities go with positions, forces with commands. There are no lines for columns without names in the logs.
-    """
-    model, sources = dataset.model, dataset.sources
-    positions, velocities = state_columns(model)
-    controls = control_columns(model)
-    owner = dict(zip(model.jnt_qposadr.tolist(), model.jnt_dofadr.tolist(), strict=True))
-    pairs: list[tuple[str, str]] = []
-    for columns, source in ((positions, change.qpos.source), (controls, change.ctrl.source)):
-        if (source != np.arange(len(source))).any():
-            pairs += [(columns[k], columns[i]) for i, k in enumerate(source)]
-    measured = np.any([r.qvel_measured for r in dataset.recordings], axis=0)
-    known = set(sources) if sources else {velocities[v] for v in np.flatnonzero(measured)}
-    for i, k in enumerate(change.qpos.source):
-        if i in owner and k in owner and any(new == positions[i] for _, new in pairs):
-            pairs += [(velocities[owner[k]], velocities[owner[i]])] if velocities[owner[k]] in known else []
-    pairs += [(f"force/{old[5:]}", f"force/{new[5:]}") for old, new in pairs if f"force/{old[5:]}" in sources]
-    named = [(sources.get(old, "" if sources else old), new) for old, new in pairs]
-    if not all(old for old, _ in named):
-        return ()
-    return toml_lines(dataset, ["[columns]", *(f"{quoted(old)} = {quoted(new)}" for old, new in named if old != new)])
 
 
 def _parents(model: mujoco.MjModel, joints: Sequence[int]) -> dict[int, int | None]:
