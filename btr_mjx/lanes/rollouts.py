@@ -18,7 +18,14 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
-from btr_mjx.engines import UnsupportedModel, base_field, expand, possible_contacts, require_supported
+from btr_mjx.engines import (
+    UnsupportedModel,
+    base_field,
+    expand,
+    possible_contacts,
+    require_same_structure,
+    require_supported,
+)
 from btr_mjx.errors import InputError
 from btr_mjx.lanes.coverage import as_model
 from btr_mjx.models import write_field
@@ -111,6 +118,7 @@ def rollout(
     else:
         try:
             leaves = _with_constants(m, count, leaves)
+            require_same_structure(m, leaves)
             few = np.unique(np.linspace(0, count - 1, _SAMPLE).astype(int))
             sample = _Sample(start[few], control[few], {name: x[few] for name, x in leaves.items()})
             program = _program(_Structure(content_digest(m), tuple(sorted(leaves)), m, sample), chunk)
