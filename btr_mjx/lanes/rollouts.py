@@ -260,7 +260,12 @@ def _with_constants(m: mujoco.MjModel, count: int, leaves: dict[str, np.ndarray]
     if not leaves:
         return leaves
     batch = _batch(m, count, leaves)
-    names = ["body_invweight0", "dof_invweight0", *(("tendon_invweight0", "tendon_length0") if m.ntendon else ())]
+    names = [
+        "body_invweight0",
+        "body_subtreemass",
+        "dof_invweight0",
+        *(("tendon_invweight0", "tendon_length0") if m.ntendon else ()),
+    ]
     names += ["eq_data"] if np.any(m.eq_type == mujoco.mjtEq.mjEQ_CONNECT) else []  # a joined body's anchor
     return {name: np.array(batch.expand(name)) for name in names} | leaves
 

@@ -34,7 +34,7 @@ MEMBERS: Mapping[str, tuple[str, str]] = {
     "actuator_gaintype": ("mjtGain", "FIXED AFFINE PID"),
     "actuator_biastype": ("mjtBias", "NONE AFFINE"),
     "eq_type": ("mjtEq", "CONNECT WELD JOINT TENDON"),
-    "eq_objtype": ("mjtObj", "BODY SITE JOINT TENDON"),
+    "eq_objtype": ("mjtObj", "UNKNOWN BODY SITE JOINT TENDON"),
     "wrap_type": ("mjtWrap", "JOINT"),
 }
 """Fields whose values are members of an enum -> the enum, and the members that are computed or guarded."""
@@ -70,7 +70,7 @@ def _names(table: Mapping[str, str]) -> frozenset[str]:
 
 VARYING = _names(
     {
-        "body_": "mass inertia ipos iquat pos quat invweight0",
+        "body_": "mass subtreemass inertia ipos iquat pos quat invweight0",
         "geom_": "pos quat size friction solref solimp solmix margin",
         "jnt_": "axis pos range margin stiffness solref solimp actfrcrange",
         "dof_": "damping armature frictionloss invweight0 solref solimp",
@@ -108,7 +108,7 @@ _SHAPES = ("mesh_", "hfield_")
 
 _WITHOUT_INFLUENCE = _names(
     {
-        "body_": "subtreemass margin bvhadr bvhnum",
+        "body_": "margin bvhadr bvhnum",
         "geom_": "aabb rbound rgba matid group castshadow",
         "jnt_": "group",
         "dof_": "M0 length",

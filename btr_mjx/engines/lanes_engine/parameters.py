@@ -43,7 +43,7 @@ def _inertia(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.n
         about = (axes * fields("body_inertia", b)[..., None, :]) @ np.swapaxes(axes, -1, -2)
         square = (c * c).sum(-1)[..., None, None] * np.eye(3) - c[..., :, None] * c[..., None, :]
         own, h = own + mass[..., 0], h + mass * c
-        if model.body_gravcomp[b] and _passive_forces(model):
+        if model.flg_gravcomp and model.body_gravcomp[b] and _passive_forces(model):
             lift = lift + model.body_gravcomp[b] * mass * np.concatenate([np.ones_like(c[..., :1]), c], -1)
         tensor = tensor + about + mass[..., None] * square
     six = [tensor[..., i, j] for i, j in SIX]

@@ -158,7 +158,7 @@ def _check_joints(m: mujoco.MjModel) -> Iterator[str]:
     for j in range(m.njnt):
         where = name(m, mujoco.mjtObj.mjOBJ_JOINT, j)
         dofs = m.dof_jntid == j
-        if m.jnt_actgravcomp[j] and m.body_gravcomp.any():
+        if m.jnt_actgravcomp[j] and m.flg_gravcomp:
             yield f"gravity compensation by actuators ({where})"
         if m.jnt_type[j] == BALL and m.jnt_limited[j] and m.dof_frictionloss[dofs].any():
             yield f"friction loss of a ball joint with a limit ({where})"

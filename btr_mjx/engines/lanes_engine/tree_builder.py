@@ -45,8 +45,7 @@ def massive_members(model: mujoco.MjModel, body: int) -> list[int]:
 def is_free_body(model: mujoco.MjModel, body: int) -> bool:
     """Whether a body is a single free body, whose gyroscopic forces MuJoCo integrates implicitly (mj_isFreeBody)."""
     alone = model.body_jntnum[body] == 1 and model.jnt_type[model.body_jntadr[body]] == FREE
-    alone = alone and model.body_mass[rigid_members(model, body)[1:]].sum() == 0
-    return bool(alone and not has_joints_below(model, body))
+    return bool(alone and model.body_subtreemass[body] == model.body_mass[body] and not has_joints_below(model, body))
 
 
 def has_joints_below(model: mujoco.MjModel, body: int) -> bool:

@@ -11,7 +11,7 @@ from btr_mjx.engines.lanes_engine.computed import VARYING, base_field
 from btr_mjx.engines.lanes_engine.tree_builder import is_free_body, massive_members, moving_tendons
 from btr_mjx.models import write_field
 
-_PID = mujoco.mjtGain.mjGAIN_PID
+_PID, _FAST = mujoco.mjtGain.mjGAIN_PID, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 
 
 def require_same_structure(model: mujoco.MjModel, leaves: Mapping[str, np.ndarray]) -> None:
@@ -51,6 +51,6 @@ def _structure(model: mujoco.MjModel) -> Hashable:
     bodies = range(1, model.nbody)
     return (
         tuple(tuple(massive_members(model, b)) for b in bodies),
-        tuple(is_free_body(model, b) for b in bodies),
+        tuple(is_free_body(model, b) for b in bodies if model.opt.integrator == _FAST),
         tuple(((model.actuator_gaintype == _PID) & (model.actuator_dynprm[:, 0] > 0)).tolist()),
     )
