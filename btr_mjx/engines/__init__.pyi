@@ -1,8 +1,8 @@
 from . import native
 from .base import Stepper, UnsupportedModel
+from .computed import base_field, influences_motion
 from .controlled import ControlledProgram
 from .devices import default_chunk, use_all_cores, use_compilation_cache, uses_doubles
-from .lanes_engine.computed import base_field, influences_motion
 from .lanes_engine.stepper import LanesStepper
 from .lanes_engine.support import possible_contacts, refusals, require_supported
 from .lanes_engine.worlds import require_same_structure

@@ -198,7 +198,7 @@ def _checked(
     if start.ndim != 2 or start.shape[1] != size:
         raise InputError(f"initial_states: got {start.shape}, expected (B, {size}): mjSTATE_FULLPHYSICS of the model")
     if control.ndim != 3 or control.shape[2] != m.nu:
-        raise InputError(f"controls: got {control.shape}, expected (B, T, {m.nu}), one column for each actuator")
+        raise InputError(f"controls: got {control.shape}, expected (B, T, {m.nu}), one column for each control")
     if control.shape[1] == 1 and steps:
         control = np.repeat(control, steps, axis=1)
     if not control.shape[1] or (steps and control.shape[1] != steps):

@@ -25,8 +25,8 @@ from mujoco_walk import (
 
 from btr_mjx import lanes
 from btr_mjx.engines import LanesStepper, UnsupportedModel, refusals, require_same_structure
-from btr_mjx.engines.lanes_engine import computed
-from btr_mjx.engines.lanes_engine.computed import (
+from btr_mjx.engines import computed
+from btr_mjx.engines.computed import (
     FLAGS,
     MEMBERS,
     NUMBERS,
@@ -231,7 +231,7 @@ def effective(states: dict[tuple[str, int], np.ndarray], expected: np.ndarray) -
 def walked(name: str) -> tuple[mujoco.MjModel, Starts, dict[tuple[str, int], np.ndarray]]:
     """A model, states, and what `changed` finds."""
     model = compiled(MODELS[name])
-    begin = starts(model, np.random.default_rng(5), spread=0.01 if "contacts" in name else 0.2)
+    begin = starts(model, np.random.default_rng(5))
     return model, begin, changed(model, begin)
 
 
@@ -252,7 +252,7 @@ def check_refusals(model: mujoco.MjModel, moving: set[tuple[str, int]]) -> None:
 def test_numbers_of_tendons_are_computed_or_refused(rng: np.random.Generator) -> None:
     """The quick part of the walk through all models."""
     model = compiled(MODELS["tendons"])
-    begin = starts(model, rng, count=1, spread=0.2)
+    begin = starts(model, rng)
     moving = effective(changed(model, begin), native(model, begin))
     assert {"wrap_prm", "tendon_armature", "dof_dampingpoly", "eq_data"} <= {field for field, _ in moving}
     check_refusals(model, moving)

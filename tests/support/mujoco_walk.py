@@ -11,12 +11,13 @@ import numpy as np
 from lanes_models import QUICK, exact
 
 from btr_mjx.engines import LanesStepper
-from btr_mjx.engines.lanes_engine.computed import base_field
+from btr_mjx.engines.computed import base_field
 from btr_mjx.models import write_field
 
 FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 STEPS = 3
-STATES = 2
+SPREADS = (1.0, 0.2, 0.03)
+"""How far states are from the reference, and how fast."""
 FOLLOWED = 1e-9
 """Largest error of what follows native MuJoCo, and smallest change that counts as one, relative to the state."""
 
@@ -42,7 +43,7 @@ TREE = f"""<mujoco>{_OPTION.format(option='density="900" viscosity="0.3" wind="1
 <motor jointinparent="slide" gear="0.5"/>
 <general joint="yaw" dyntype="filterexact" dynprm="0.05" gaintype="affine" gainprm="2 0.3 0.1" biastype="affine"
  biasprm="0.1 -2 -0.3" actlimited="true" actrange="-0.1 0.1"/>
-<motor joint="slide" gear="3" delay="0.006" nsample="4" forcerange="-0.3 0.25"/>
+<motor joint="slide" gear="3" delay="0.006" nsample="4" interp="linear" forcerange="-0.3 0.25"/>
 <pid joint="yaw" kp="5" ki="2" kv="0.2" imax="0.05" input="pos"/></actuator>
 <sensor><gyro site="imu" noise="0.1" cutoff="3"/></sensor>
 <keyframe><key qpos="0 0 2 1 0 0 0 0 0 0 1 0 0 0"/></keyframe></mujoco>"""
@@ -52,8 +53,8 @@ TENDONS = f"""<mujoco>{_OPTION.format(option="{option}")}<worldbody>
 <body pos="0.3 0 0"><joint name="b" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/>
 <body pos="0.3 0 0"><joint name="c" axis="0 0.2 1"/><geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02"/></body>
 </body></body></worldbody>
-<tendon><fixed name="pull" range="-0.1 0.05" limited="true" margin="0.01" frictionloss="0.2" stiffness="4"
- damping="{{damping}}" springlength="-0.05 0.03"><joint joint="a" coef="1.2"/><joint joint="b" coef="-0.7"/></fixed>
+<tendon><fixed name="pull" range="-0.02 0.01" limited="true" margin="0.01" frictionloss="0.2" stiffness="4"
+ damping="{{damping}}" springlength="-0.005 0.004"><joint joint="a" coef="1.2"/><joint joint="b" coef="-0.7"/></fixed>
 <fixed name="other"><joint joint="b" coef="0.6"/><joint joint="c" coef="1"/></fixed></tendon>
 <equality><joint joint1="a" joint2="c" polycoef="0.02 0.8 0.1 0.05 0.02"/>
 <tendon tendon1="other" tendon2="pull" polycoef="0.01 0.5 0.1 0 0"/></equality>
@@ -66,9 +67,9 @@ CONTACTS = f"""<mujoco>{_OPTION.format(option='impratio="2" {option}')}<worldbod
  solimp="0.8 0.95 0.01 0.4 2" solref="0.025 1.1"/></body>
 <body name="two" pos="0.19 0 0.12"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>
 <joint axis="0 1 0"/><geom name="two" type="capsule" size="0.1 0.05" condim="3" mass="0.4" margin="0.02"/></body>
-<body name="three" pos="-1 0 0.1"><freejoint/><geom name="three" type="box" size="0.1 0.12 0.1" priority="1"/></body>
+<body name="three" pos="-1 0 0.1"><joint type="slide" axis="0 0 1"/><joint axis="0 1 0"/><geom name="three" type="box" size="0.1 0.12 0.1" priority="1"/></body>
 <body name="far" pos="5 0 3"><joint type="slide"/><geom name="far" type="box" size="0.1 0.1 0.1"/></body>
-<body name="four" pos="1 0 0.12"><freejoint/><geom name="four" size="0.11" mass="0.3"/></body></worldbody>
+<body name="four" pos="1 0 0.12"><joint type="slide" axis="0 0 1"/><joint axis="0.1 1 0"/><geom name="four" size="0.11" mass="0.3"/></body></worldbody>
 <contact><pair name="own" geom1="four" geom2="floor" condim="6" friction="0.5 0.5 0.02 0.01 0.01" margin="0.03"
  gap="0.01" solref="0.03 0.8" solimp="0.7 0.9 0.01 0.5 2"/><exclude body1="far" body2="one"/></contact></mujoco>"""
 
@@ -85,11 +86,11 @@ CLOSED = f"""<mujoco>{_OPTION.format(option="{option}")}<worldbody>
 
 SWITCHES = f"""<mujoco>{_OPTION.format(option="")}<worldbody><geom name="floor" type="plane" size="0 0 1"/>
 <body pos="0 0 0.095"><joint name="up" type="slide" axis="0 0 1" damping="0.3"/>
-<joint name="turn" axis="0 1 0" stiffness="2" springref="20" range="-3 1" limited="true" frictionloss="0.1"/>
-<geom size="0.1" pos="0.01 0 0" solref="0.004 1"/><body pos="0.15 0 0.05"><joint name="swing" axis="0 1 0"/>
+<joint name="turn" axis="0 1 0" stiffness="2" springref="20" range="-3 -1" limited="true" frictionloss="0.1"/>
+<geom size="0.1" pos="0.01 0 0" solref="0.004 1" priority="1"/><body pos="0.15 0 0.05"><joint name="swing" axis="0 1 0"/>
 <geom size="0.1"/></body></body></worldbody>
 <equality><joint joint1="swing" joint2="turn" polycoef="0.1 0.5 0 0 0"/></equality>
-<actuator><motor joint="turn" gear="3" ctrlrange="-0.1 0.1"/></actuator></mujoco>"""
+<actuator><motor joint="turn" gear="3" ctrlrange="-0.1 0.1"/><velocity joint="swing" kv="0.5"/></actuator></mujoco>"""
 """A model on whose motion every option has its effect."""
 
 MODELS = {
@@ -106,10 +107,12 @@ MODELS = {
 
 def compiled(text: str) -> mujoco.MjModel:
     """The model with an exact solver, and without MuJoCo's shortcuts, which hold for the unedited model only."""
-    model = exact(mujoco.MjModel.from_xml_string(text))
-    for shortcut in (model.body_sameframe, model.geom_sameframe, model.site_sameframe, model.body_simple):
+    spec = mujoco.MjSpec.from_string(text)
+    for body in spec.bodies:
+        body.simple = 0
+    model = exact(spec.compile())
+    for shortcut in (model.body_sameframe, model.geom_sameframe, model.site_sameframe):
         shortcut[:] = 0
-    model.dof_simplenum[:] = 0
     model.geom_rbound[model.geom_rbound > 0] += 0.1
     return model
 
@@ -124,13 +127,14 @@ class Starts:
     ctrl: np.ndarray
 
 
-def starts(model: mujoco.MjModel, rng: np.random.Generator, count: int = STATES, spread: float = 0.01) -> Starts:
+def starts(model: mujoco.MjModel, rng: np.random.Generator) -> Starts:
     """States near the reference, in which bodies that rest on each other in it still touch."""
+    reach = 0.2 if not model.nexclude else 0.02
     found: tuple[list[np.ndarray], ...] = ([], [], [], [])
-    for _ in range(count):
+    for spread in SPREADS:
         qpos = np.array(model.qpos0)
-        mujoco.mj_integratePos(model, qpos, rng.normal(size=model.nv), spread)
-        rows = qpos, rng.normal(size=model.nv), 0.1 * rng.normal(size=model.na), rng.uniform(-1, 1, model.nu)
+        mujoco.mj_integratePos(model, qpos, rng.normal(size=model.nv), reach * spread)
+        rows = qpos, spread * rng.normal(size=model.nv), 0.1 * rng.normal(size=model.na), rng.uniform(-1, 1, model.nu)
         for column, row in zip(found, rows, strict=True):
             column.append(row)
     return Starts(*map(np.stack, found))

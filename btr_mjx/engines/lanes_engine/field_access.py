@@ -6,7 +6,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from btr_mjx.engines.lanes_engine.computed import base_field
+from btr_mjx.engines.computed import base_field
 
 
 class Fields:

@@ -11,6 +11,7 @@ import jax
 import mujoco
 import numpy as np
 
+from btr_mjx.engines.computed import element_name
 from btr_mjx.engines.guards.pairs import PairGroup, bounding_box, shape_kind
 from btr_mjx.engines.lanes_engine import support
 from btr_mjx.engines.lanes_engine.contact_parameters import (
@@ -90,7 +91,7 @@ def _joint(model: mujoco.MjModel, fields: Fields, joint: Joint, j: int) -> dict[
     if joint.turned:
         for what in ("damping", "armature"):
             if np.any(result[what] != result[what][..., :1]):
-                where = support.name(model, mujoco.mjtObj.mjOBJ_JOINT, j)
+                where = element_name(model, mujoco.mjtObj.mjOBJ_JOINT, j)
                 raise support.refuse(f"{what} that differs between the axes of a ball joint with a limit ({where})")
     axis = fields("jnt_axis", j)
     result |= {

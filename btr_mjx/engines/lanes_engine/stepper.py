@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 
 from btr_mjx.engines.base import Leaves
+from btr_mjx.engines.computed import VARYING, base_field, may_differ
 from btr_mjx.engines.guards.hulls import near_meshes
 from btr_mjx.engines.guards.pairs import group_by_condim, group_by_kinds
 from btr_mjx.engines.guards.placed_geoms import PlacedGeoms, Pose
 from btr_mjx.engines.guards.watch import crossed
 from btr_mjx.engines.lanes_engine import support
 from btr_mjx.engines.lanes_engine.actuation import actuate, springs, tendon_forces
-from btr_mjx.engines.lanes_engine.computed import VARYING, base_field, may_differ
 from btr_mjx.engines.lanes_engine.constraints.body_contacts import body_contacts, columns
 from btr_mjx.engines.lanes_engine.constraints.closures import closures
 from btr_mjx.engines.lanes_engine.constraints.contacts import contact_points

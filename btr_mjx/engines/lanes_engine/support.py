@@ -7,6 +7,15 @@ import mujoco
 import numpy as np
 
 from btr_mjx.engines.base import UnsupportedModel
+from btr_mjx.engines.computed import (
+    TABLES,
+    base_field,
+    element_name,
+    element_of,
+    not_computed,
+    not_plain,
+    wraps_of,
+)
 from btr_mjx.engines.guards.pairs import (
     BOX,
     CAPSULE,
@@ -19,12 +28,6 @@ from btr_mjx.engines.guards.pairs import (
     explicit_pairs,
     geom_pairs,
 )
-from btr_mjx.engines.lanes_engine.computed import (
-    TABLES,
-    base_field,
-    not_computed,
-    not_plain,
-)
 from btr_mjx.engines.lanes_engine.delays import CUBIC, HOLD, LINEAR
 from btr_mjx.engines.lanes_engine.tree import BALL, FREE
 from btr_mjx.engines.lanes_engine.tree_builder import active_equalities, make_plan, moving_tendons
@@ -34,20 +37,11 @@ MAX_DOFS = 32
 
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-_KINDS = {"jnt": "JOINT", "eq": "EQUALITY", "wrap": "TENDON"}
-"""Beginnings of the names of fields, and the end of the name of their element's mjtObj where it is another word."""
 
 
 def refuse(feature: str) -> UnsupportedModel:
     """The error for a feature that this engine does not compute."""
     return UnsupportedModel(f'the lanes engine does not compute {feature}; use engine="native" for this model')
-
-
-def name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:
-    """An element's name in quotes, or its number if it has none."""
-    label = mujoco.mj_id2name(model, kind, int(index))
-    word = kind.name.removeprefix("mjOBJ_").lower()
-    return f"{word} {label!r}" if label else f"{word} number {index}"
 
 
 def disabled(model: mujoco.MjModel, flag: str) -> bool:
@@ -116,9 +110,9 @@ def _check_tables(m: mujoco.MjModel) -> Iterator[str]:
         values = np.atleast_1d(base_field(m, field)).astype(int).tolist()
         reasons = {value: not_computed(field, value) for value in set(values)}
         for i in [i for i in _in_use(m, field, len(values)) if reasons[values[i]]][:1]:
-            yield f"{field} {reasons[values[i]]}{_element(m, field, i)}"
+            yield f"{field} {reasons[values[i]]}{element_of(m, field, i)}"
     for field, i in not_plain(m):
-        yield f"{field} other than MuJoCo's default{_element(m, field, i)}"
+        yield f"{field} other than MuJoCo's default{element_of(m, field, i)}"
 
 
 def _in_use(m: mujoco.MjModel, field: str, count: int) -> Iterable[int]:
@@ -126,24 +120,8 @@ def _in_use(m: mujoco.MjModel, field: str, count: int) -> Iterable[int]:
     if field.startswith("eq_"):
         return active_equalities(m)
     if field.startswith("wrap_"):
-        return [w for t in moving_tendons(m) for w in _wraps(m, t)]
+        return [w for t in moving_tendons(m) for w in wraps_of(m, t)]
     return range(count)
-
-
-def _wraps(m: mujoco.MjModel, tendon: int) -> range:
-    """Numbers of the wrap objects of a tendon."""
-    return range(int(m.tendon_adr[tendon]), int(m.tendon_adr[tendon] + m.tendon_num[tendon]))
-
-
-def _element(m: mujoco.MjModel, field: str, index: int) -> str:
-    """The element of a field in brackets; empty for options and for kinds of elements that have no names."""
-    word = field.partition("_")[0]
-    kind = getattr(mujoco.mjtObj, f"mjOBJ_{_KINDS.get(word, word.upper())}", None)
-    if kind is None:
-        return ""
-    if field.startswith("wrap_"):
-        index = next(t for t in range(m.ntendon) if index in _wraps(m, t))
-    return f" ({name(m, kind, index)})"
 
 
 def _check_options(m: mujoco.MjModel) -> Iterator[str]:
@@ -151,17 +129,20 @@ def _check_options(m: mujoco.MjModel) -> Iterator[str]:
         yield f"the RK4 integrator together with activations or delays ({m.nactuator} actuators)"
     if (m.opt.density or m.opt.viscosity) and m.ngeom and np.any(m.geom_fluid[:, 0] > 0):
         geom = int(np.argmax(m.geom_fluid[:, 0] > 0))
-        yield f"the ellipsoid fluid model ({name(m, mujoco.mjtObj.mjOBJ_GEOM, geom)})"
+        yield f"the ellipsoid fluid model ({element_name(m, mujoco.mjtObj.mjOBJ_GEOM, geom)})"
 
 
 def _check_joints(m: mujoco.MjModel) -> Iterator[str]:
     for j in range(m.njnt):
-        where = name(m, mujoco.mjtObj.mjOBJ_JOINT, j)
+        where = element_name(m, mujoco.mjtObj.mjOBJ_JOINT, j)
         dofs = m.dof_jntid == j
         if m.jnt_actgravcomp[j] and m.flg_gravcomp:
             yield f"gravity compensation by actuators ({where})"
-        if m.jnt_type[j] == BALL and m.jnt_limited[j] and m.dof_frictionloss[dofs].any():
-            yield f"friction loss of a ball joint with a limit ({where})"
+        if m.jnt_type[j] == BALL and m.jnt_limited[j]:
+            if m.dof_frictionloss[dofs].any():
+                yield f"friction loss of a ball joint with a limit ({where})"
+            if np.ptp(m.dof_damping[dofs]) or np.ptp(m.dof_armature[dofs]):
+                yield f"damping and armature that differ between the axes of a ball joint with a limit ({where})"
         if m.jnt_type[j] != FREE:
             continue
         if m.jnt_stiffness[j]:
@@ -172,7 +153,7 @@ def _check_joints(m: mujoco.MjModel) -> Iterator[str]:
 
 def _check_actuators(m: mujoco.MjModel) -> Iterator[str]:
     for a in range(m.nactuator):
-        where = name(m, mujoco.mjtObj.mjOBJ_ACTUATOR, a)
+        where = element_name(m, mujoco.mjtObj.mjOBJ_ACTUATOR, a)
         on_joint = m.actuator_trntype[a] in _JOINT_TRANSMISSIONS
         if on_joint and m.jnt_type[m.actuator_trnid[a, 0]] in (FREE, BALL):
             yield f"actuation of a free or ball joint ({where})"
@@ -186,8 +167,8 @@ def _check_actuators(m: mujoco.MjModel) -> Iterator[str]:
 def _check_tendons(m: mujoco.MjModel) -> Iterator[str]:
     implicit = m.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for t in moving_tendons(m):
-        where = name(m, mujoco.mjtObj.mjOBJ_TENDON, t)
-        wraps = _wraps(m, t)
+        where = element_name(m, mujoco.mjtObj.mjOBJ_TENDON, t)
+        wraps = wraps_of(m, t)
         if np.any(m.wrap_type[wraps] != mujoco.mjtWrap.mjWRAP_JOINT):
             continue  # refused already
         if len(set(m.wrap_objid[wraps].tolist())) < m.tendon_num[t]:
@@ -224,7 +205,7 @@ def possible_contacts(m: mujoco.MjModel) -> Contacts:
 
 
 def _both(m: mujoco.MjModel, g1: int, g2: int) -> str:
-    return f"{name(m, mujoco.mjtObj.mjOBJ_GEOM, g1)} and {name(m, mujoco.mjtObj.mjOBJ_GEOM, g2)}"
+    return f"{element_name(m, mujoco.mjtObj.mjOBJ_GEOM, g1)} and {element_name(m, mujoco.mjtObj.mjOBJ_GEOM, g2)}"
 
 
 def _not_computed(m: mujoco.MjModel, pair: GeomPair) -> str:

@@ -1,15 +1,13 @@
 """Whether the models of all worlds have the structure of the base model, for which the program is made."""
 
-import copy
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Mapping
 
 import mujoco
 import numpy as np
 
+from btr_mjx.engines.extremes import extremes
 from btr_mjx.engines.lanes_engine import support
-from btr_mjx.engines.lanes_engine.computed import VARYING, base_field
 from btr_mjx.engines.lanes_engine.tree_builder import is_free_body, massive_members, moving_tendons
-from btr_mjx.models import write_field
 
 _PID, _FAST = mujoco.mjtGain.mjGAIN_PID, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 
@@ -23,27 +21,12 @@ def require_same_structure(model: mujoco.MjModel, leaves: Mapping[str, np.ndarra
     Raises:
       UnsupportedModel: the message names the feature, or the fields.
     """
-    own = {name: values for name, values in leaves.items() if name in VARYING and isinstance(values, np.ndarray)}
-    for extreme in _extremes(model, own):
+    for extreme in extremes(model, leaves):
         for feature in support.refusals(extreme, size=False):
             raise support.refuse(f"{feature} in some of the worlds")
         more = set(moving_tendons(extreme)) - set(moving_tendons(model))
         if more or _structure(extreme) != _structure(model):
-            raise support.refuse(f"masses, tendons or windups that take part in some worlds only ({', '.join(own)})")
-
-
-def _extremes(model: mujoco.MjModel, leaves: Mapping[str, np.ndarray]) -> Iterator[mujoco.MjModel]:
-    """Two models with every number at its largest value of all worlds, and with zeros wherever a world has one."""
-    if not leaves:
-        return
-    most, least = copy.copy(model), copy.copy(model)
-    for name, values in leaves.items():
-        base = base_field(model, name)
-        flat = np.reshape(values, (-1, *base.shape))
-        low, high = flat.min(axis=0), flat.max(axis=0)
-        write_field(most, name, np.where(high >= -low, high, low))
-        write_field(least, name, np.where((flat == 0).any(axis=0), 0.0, base))
-    yield from (most, least)
+            raise support.refuse(f"masses, tendons or windups that take part in some worlds only ({', '.join(leaves)})")
 
 
 def _structure(model: mujoco.MjModel) -> Hashable:

@@ -165,7 +165,7 @@ def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence
     if (measured := control.get("measured", "command")) not in ("command", "force"):
         raise InputError(f"{path}: [control] measured = {measured!r}: expected 'command' or 'force'")
     if measured == "force":
-        model = driven_by_forces(model, str(path))
+        model = driven_by_forces(model)
     interpolation = control.get("interpolation", "linear")
     if interpolation not in ("hold", "linear", "cubic"):
         raise InputError(f"{path}: interpolation {interpolation!r}: expected 'hold', 'linear' or 'cubic'")

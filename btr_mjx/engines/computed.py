@@ -197,3 +197,30 @@ _PLAIN = """<mujoco><worldbody>
 <equality><joint joint1="a"/></equality>
 <actuator><motor joint="a"/></actuator></mujoco>"""
 """Plain elements of every kind of which lanes computes something."""
+
+
+_KINDS = {"jnt": "JOINT", "eq": "EQUALITY", "wrap": "TENDON"}
+"""Beginnings of the names of fields, and the end of the name of their element's mjtObj where it is another word."""
+
+
+def element_of(model: mujoco.MjModel, field: str, index: int) -> str:
+    """The element of a field, " (joint 'knee')"; empty for options and for kinds of elements without names."""
+    word = field.partition("_")[0]
+    kind = getattr(mujoco.mjtObj, f"mjOBJ_{_KINDS.get(word, word.upper())}", None)
+    if kind is None:
+        return ""
+    if field.startswith("wrap_"):
+        index = next(t for t in range(model.ntendon) if index in wraps_of(model, t))
+    return f" ({element_name(model, kind, index)})"
+
+
+def element_name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:
+    """An element's kind and its name in quotes, or its number if it has none."""
+    label = mujoco.mj_id2name(model, kind, int(index))
+    word = kind.name.removeprefix("mjOBJ_").lower()
+    return f"{word} {label!r}" if label else f"{word} number {index}"
+
+
+def wraps_of(model: mujoco.MjModel, tendon: int) -> range:
+    """Numbers of the wrap objects of a tendon."""
+    return range(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon] + model.tendon_num[tendon]))
