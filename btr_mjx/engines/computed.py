@@ -18,7 +18,7 @@ FLAGS: Mapping[str, tuple[str, str]] = {
         "ACTUATION REFSAFE SENSOR MIDPHASE EULERDAMP AUTORESET NATIVECCD ISLAND MULTICCD",
     ),
     "opt.enableflags": ("mjtEnableBit", "ENERGY FWDINV INVDISCRETE"),
-    "actuator_ctrlspec": ("mjtCtrlInput", "POS VEL FF"),
+    "actuator_ctrlspec": ("mjtCtrlInput", "POS VEL FF PRESSURE"),
 }
 """Fields whose bits are members of an enum -> the enum, and the members that are computed."""
 

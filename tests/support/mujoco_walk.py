@@ -41,6 +41,7 @@ TREE = f"""<mujoco>{_OPTION.format(option='density="900" viscosity="0.3" wind="1
 <actuator><position joint="hinge" kp="30" kv="2" gear="1.5"/>
 <motor joint="yaw" ctrlrange="-0.2 0.15"/>
 <motor jointinparent="slide" gear="0.5"/>
+<cylinder joint="hinge" area="0.3" timeconst="0.05" bias="0.1 -1 -0.2"/>
 <general joint="yaw" dyntype="filterexact" dynprm="0.05" gaintype="affine" gainprm="2 0.3 0.1" biastype="affine"
  biasprm="0.1 -2 -0.3" actlimited="true" actrange="-0.1 0.1"/>
 <motor joint="slide" gear="3" delay="0.006" nsample="4" interp="linear" forcerange="-0.3 0.25"/>
@@ -67,9 +68,11 @@ CONTACTS = f"""<mujoco>{_OPTION.format(option='impratio="2" {option}')}<worldbod
  solimp="0.8 0.95 0.01 0.4 2" solref="0.025 1.1"/></body>
 <body name="two" pos="0.19 0 0.12"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>
 <joint axis="0 1 0"/><geom name="two" type="capsule" size="0.1 0.05" condim="3" mass="0.4" margin="0.02"/></body>
-<body name="three" pos="-1 0 0.1"><joint type="slide" axis="0 0 1"/><joint axis="0 1 0"/><geom name="three" type="box" size="0.1 0.12 0.1" priority="1"/></body>
+<body name="three" pos="-1 0 0.1"><joint type="slide" axis="0 0 1"/><joint axis="0 1 0"/>
+<geom name="three" type="box" size="0.1 0.12 0.1" priority="1"/></body>
 <body name="far" pos="5 0 3"><joint type="slide"/><geom name="far" type="box" size="0.1 0.1 0.1"/></body>
-<body name="four" pos="1 0 0.12"><joint type="slide" axis="0 0 1"/><joint axis="0.1 1 0"/><geom name="four" size="0.11" mass="0.3"/></body></worldbody>
+<body name="four" pos="1 0 0.12"><joint type="slide" axis="0 0 1"/><joint axis="0.1 1 0"/>
+<geom name="four" size="0.11" mass="0.3"/></body></worldbody>
 <contact><pair name="own" geom1="four" geom2="floor" condim="6" friction="0.5 0.5 0.02 0.01 0.01" margin="0.03"
  gap="0.01" solref="0.03 0.8" solimp="0.7 0.9 0.01 0.5 2"/><exclude body1="far" body2="one"/></contact></mujoco>"""
 
@@ -87,7 +90,8 @@ CLOSED = f"""<mujoco>{_OPTION.format(option="{option}")}<worldbody>
 SWITCHES = f"""<mujoco>{_OPTION.format(option="")}<worldbody><geom name="floor" type="plane" size="0 0 1"/>
 <body pos="0 0 0.095"><joint name="up" type="slide" axis="0 0 1" damping="0.3"/>
 <joint name="turn" axis="0 1 0" stiffness="2" springref="20" range="-3 -1" limited="true" frictionloss="0.1"/>
-<geom size="0.1" pos="0.01 0 0" solref="0.004 1" priority="1"/><body pos="0.15 0 0.05"><joint name="swing" axis="0 1 0"/>
+<geom size="0.1" pos="0.01 0 0" solref="0.004 1" priority="1"/>
+<body pos="0.15 0 0.05"><joint name="swing" axis="0 1 0"/>
 <geom size="0.1"/></body></body></worldbody>
 <equality><joint joint1="swing" joint2="turn" polycoef="0.1 0.5 0 0 0"/></equality>
 <actuator><motor joint="turn" gear="3" ctrlrange="-0.1 0.1"/><velocity joint="swing" kv="0.5"/></actuator></mujoco>"""
