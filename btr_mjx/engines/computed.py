@@ -49,12 +49,12 @@ NUMBERS: Mapping[str, tuple[int, ...]] = {
 """Fields of other whole numbers -> those that are computed."""
 
 
-TABLES = (*FLAGS, *MEMBERS, *NUMBERS)
+CHOICES = (*FLAGS, *MEMBERS, *NUMBERS)
 """Fields of which single values are computed."""
 
 
 def not_computed(field: str, value: int) -> str:
-    """The name of what is not computed of a value of a field of `TABLES`; empty if all is."""
+    """The name of what is not computed of a value of a field of `CHOICES`; empty if all is."""
     if field in NUMBERS:
         return "" if value in NUMBERS[field] else str(value)
     enum, words = {**FLAGS, **MEMBERS}[field]
@@ -84,7 +84,7 @@ VARYING = _names(
 )
 """Fields that are computed and may differ between worlds."""
 
-_SAME = {*TABLES} | _names(
+_SAME = {*CHOICES} | _names(
     {
         "body_": "parentid rootid weldid mocapid jntnum jntadr dofnum dofadr treeid geomnum geomadr sameframe simple "
         "contype conaffinity gravcomp",

@@ -206,7 +206,7 @@ _LACKING = ("actuator_delay", "pair_adhesion")
 """Fields that these tables know, and MJX ignores where they are not zero."""
 
 _CHECKED = ("opt.integrator", "opt.disableflags", "opt.enableflags", *NUMBERS)
-"""Fields of `computed.TABLES` that MJX itself does not check; members of the others' enums it does."""
+"""Fields of `computed.CHOICES` that MJX itself does not check; members of the others' enums it does."""
 
 
 def _refuse(model: mujoco.MjModel) -> None:

@@ -5,7 +5,7 @@ import copy
 import mujoco
 from mujoco_walk import SWITCHES, compiled
 
-from btr_mjx.engines.computed import FLAGS, MEMBERS, TABLES, base_field, not_computed
+from btr_mjx.engines.computed import CHOICES, FLAGS, MEMBERS, base_field, not_computed
 from btr_mjx.models import write_field
 
 LAST = 23
@@ -40,7 +40,7 @@ def options() -> list[tuple[str, str, int]]:
     default = compiled(SWITCHES)
     return [
         (field, name.partition("_")[2], value)
-        for field in TABLES
+        for field in CHOICES
         if field.startswith("opt.")
         for name, value in members(field).items()
         if not not_computed(field, value) and int(base_field(default, field)) != value

@@ -8,7 +8,7 @@ import numpy as np
 
 from btr_mjx.engines.base import UnsupportedModel
 from btr_mjx.engines.computed import (
-    TABLES,
+    CHOICES,
     base_field,
     element_name,
     element_of,
@@ -106,7 +106,7 @@ def refusals(model: mujoco.MjModel, size: bool = True) -> Iterator[str]:
 
 def _check_tables(m: mujoco.MjModel) -> Iterator[str]:
     """Whatever is not in the tables of what is computed."""
-    for field in TABLES:
+    for field in CHOICES:
         values = np.atleast_1d(base_field(m, field)).astype(int).tolist()
         reasons = {value: not_computed(field, value) for value in set(values)}
         for i in [i for i in _in_use(m, field, len(values)) if reasons[values[i]]][:1]:
