@@ -144,7 +144,7 @@ def test_fields_may_differ_between_worlds(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize(
     ("extra", "near", "words"),
     [
-        (REFUSED, 0.0, "spatial tendons"),
+        (REFUSED, 0.0, "mjWRAP_SITE"),
         ("", 1.0, "worlds that were tried"),
     ],
 )

@@ -196,6 +196,8 @@ def _placed_geom(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str, 
     position = position + apply_matrix(matrix, fields("geom_pos", geom))
     matrix = matrix @ rotation_matrices(fields("geom_quat", geom))
     size = fields("geom_size", geom)
+    if model.geom_type[geom] == support.SPHERE:
+        size = size * [1.0, 0.0, 0.0]  # it may count as a capsule, without length
     if shape_kind(model, geom) != model.geom_type[geom]:
         box = bounding_box(model, geom)
         position, size = position + apply_matrix(matrix, box[None, None, :3]), box[None, None, 3:]
