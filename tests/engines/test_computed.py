@@ -24,7 +24,14 @@ from mujoco_walk import (
 )
 
 from btr_mjx import lanes
-from btr_mjx.engines import LanesStepper, UnsupportedModel, computed, refusals, require_same_structure
+from btr_mjx.engines import (
+    LanesStepper,
+    UnsupportedModel,
+    computed,
+    possible_contacts,
+    refusals,
+    require_same_structure,
+)
 from btr_mjx.engines.computed import (
     FLAGS,
     MEMBERS,
