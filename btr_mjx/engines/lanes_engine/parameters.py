@@ -87,6 +87,9 @@ def _joint(model: mujoco.MjModel, fields: Fields, joint: Joint, j: int) -> dict[
     if support.disabled(model, "DAMPER"):
         result["damping"] = np.zeros((1, 1, len(joint.dofs)))
     if joint.kind == FREE:
+        turning = result["armature"][..., 3:]
+        if support.turns_alone(model, j) and np.any(turning != turning[..., :1]):
+            raise support.refuse("armature that differs between the axes in which a free body turns, implicitfast")
         return result
     if joint.turned:
         for what in ("damping", "armature"):

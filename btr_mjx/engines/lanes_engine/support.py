@@ -30,7 +30,7 @@ from btr_mjx.engines.guards.pairs import (
 )
 from btr_mjx.engines.lanes_engine.delays import CUBIC, HOLD, LINEAR
 from btr_mjx.engines.lanes_engine.tree import BALL, FREE
-from btr_mjx.engines.lanes_engine.tree_builder import active_equalities, make_plan, moving_tendons
+from btr_mjx.engines.lanes_engine.tree_builder import active_equalities, is_free_body, make_plan, moving_tendons
 
 MAX_DOFS = 32
 """Dofs of the plan above which native MuJoCo is about as fast, and the program takes minutes to compile."""
@@ -132,6 +132,12 @@ def _check_options(m: mujoco.MjModel) -> Iterator[str]:
         yield f"the ellipsoid fluid model ({element_name(m, mujoco.mjtObj.mjOBJ_GEOM, geom)})"
 
 
+def turns_alone(m: mujoco.MjModel, joint: int) -> bool:
+    """Whether a joint is that of a single free body whose gyroscopic forces are integrated implicitly."""
+    implicit = m.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    return implicit and is_free_body(m, int(m.jnt_bodyid[joint]))
+
+
 def _check_joints(m: mujoco.MjModel) -> Iterator[str]:
     for j in range(m.njnt):
         where = element_name(m, mujoco.mjtObj.mjOBJ_JOINT, j)
@@ -149,6 +155,8 @@ def _check_joints(m: mujoco.MjModel) -> Iterator[str]:
             yield f"stiffness of a free joint ({where})"
         if m.dof_frictionloss[dofs].any():
             yield f"friction loss of a free joint ({where})"
+        if turns_alone(m, j) and np.ptp(m.dof_armature[dofs][3:]):
+            yield f"armature that differs between the axes in which a free body turns, implicitfast ({where})"
 
 
 def _check_actuators(m: mujoco.MjModel) -> Iterator[str]:
