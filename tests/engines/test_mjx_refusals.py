@@ -125,6 +125,8 @@ def test_every_number_in_which_worlds_may_differ_is_followed_by_mjx(rng: np.rand
     worlds = []
     for field in [name for name in float_fields(model) if name in VARYING]:
         for element in elements(model, field):
+            if field == "body_quat" and not element:
+                continue  # that of the world, which is the identity in every model
             values = base_field(moved(model, field, element), field)
             try:
                 MjxStepper(model, frozenset({field})).pack({field: values[None, None]})
