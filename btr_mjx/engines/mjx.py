@@ -16,6 +16,18 @@ import mujoco
 import numpy as np
 
 from btr_mjx.engines.base import MUJOCO_4, Leaves, UnsupportedModel
+from btr_mjx.engines.computed import (
+    NUMBERS,
+    VARYING,
+    base_field,
+    element_of,
+    influences_motion,
+    may_differ,
+    not_computed,
+    not_plain,
+)
+from btr_mjx.engines.extremes import extremes
+from btr_mjx.engines.guards.pairs import HFIELD, MESH, geom_pairs
 
 # On import MJX prints on stdout that its optional GPU backend is not installed.
 with contextlib.redirect_stdout(io.StringIO()):
@@ -38,20 +50,19 @@ class MjxStepper:
         Raises:
           UnsupportedModel: a feature that MJX does not compute.
         """
-        _refuse(model)
+        self._base, put = model, _put(model)
         self.nq, self.nv, self.nu = model.nq, model.nv, model.nu
         self.timestep = float(model.opt.timestep)
         self._pid = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_PID
-        try:
-            put = mjx.put_model(_without_pid(model, self._pid), impl="jax")
-            if self._pid.any():
-                put = put.replace(na=0)
-        except NotImplementedError as error:
-            raise UnsupportedModel(f"MJX does not support this model: {error}; use engine='native'") from None
+        self._structure: Any = jax.tree.structure(put)
+        self._used = tuple(sorted(name for name in varying if isinstance(_leaf(put, name), jax.Array)))
+        lost = sorted(name for name in varying if name not in self._used and influences_motion(name))
+        for name in lost:
+            if not may_differ(name, guards_geoms=_meets_meshes(model)) or name in VARYING:
+                raise UnsupportedModel(f"mjx: worlds cannot differ in the field {name!r}; use engine='native'")
         # Numpy leaves: device arrays in the closure of a sharded function would be bound to one device.
         self._model = jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) else x, put)
         self._data = jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) else x, mjx.make_data(put))
-        self._used = tuple(sorted(name for name in varying if _leaf(self._model, name) is not None))
         self._integral_gain = model.actuator_gainprm[:, 0] * self._pid
         self._kp = np.where(self._pid, -model.actuator_biasprm[:, 1], 1.0)
         self._length_address = _length_address(model)
@@ -61,6 +72,9 @@ class MjxStepper:
         """See `Stepper.pack`: the fields that MJX holds, batch first, in the model's precision."""
         if self._pid.any() and ("actuator_gainprm" in leaves or "actuator_biasprm" in leaves):
             raise UnsupportedModel("mjx: gains of `pid` actuators cannot vary within a batch; use engine='lanes'")
+        for extreme in extremes(self._base, leaves):
+            if jax.tree.structure(_put(extreme)) != self._structure:
+                raise UnsupportedModel("mjx: losses or a fluid that only some of the worlds have; use engine='native'")
         return {name: leaves[name].astype(_leaf(self._model, name).dtype, copy=False) for name in self._used}
 
     def initial(self, params: dict[str, jax.Array], chunk: int) -> dict[str, jax.Array]:
@@ -138,12 +152,33 @@ class MjxStepper:
         return jnp.zeros(state["residual"].shape, bool)
 
 
+def _put(model: mujoco.MjModel) -> mjx.Model:
+    """The model on the device, `pid` actuators as servos.
+
+    Raises:
+      UnsupportedModel: a feature that MJX does not compute.
+    """
+    _refuse(model)
+    pid = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_PID
+    try:
+        put = mjx.put_model(_without_pid(model, pid), impl="jax")
+    except NotImplementedError as error:
+        raise UnsupportedModel(f"MJX does not support this model: {error}; use engine='native'") from None
+    return put.replace(na=0) if pid.any() else put
+
+
 def _leaf(model: mjx.Model, name: str) -> Any:
-    """The numpy leaf of an mjx.Model with a field's name, or None where MJX does not hold that field."""
+    """The value of an mjx.Model with a field's name, or None where MJX does not hold that field."""
     value: Any = model
     for part in name.split("."):
         value = getattr(value, part, None)
-    return value if isinstance(value, np.ndarray) and value.dtype.kind == "f" else None
+    return value
+
+
+def _meets_meshes(model: mujoco.MjModel) -> bool:
+    """Whether meshes or height fields can collide, whose shapes MJX prepares once for all worlds."""
+    shaped = {MESH, HFIELD}
+    return any({int(model.geom_type[g]) for g in (pair.first, pair.second)} & shaped for pair in geom_pairs(model))
 
 
 def _without_pid(model: mujoco.MjModel, pid: np.ndarray) -> mujoco.MjModel:
@@ -164,42 +199,39 @@ def _length_address(model: mujoco.MjModel) -> np.ndarray:
     return np.where(joint, model.jnt_qposadr[np.where(joint, model.actuator_trnid[:, 0], 0)], 0)
 
 
-_IGNORED = {
-    "actuator_armature": "actuator armature",
-    "actuator_damping": "actuator damping",
-    "actuator_dampingpoly": "polynomial actuator damping",
-    "actuator_delay": "actuator delay",
-    "geom_adhesion": "adhesion",
-    "geom_surfacevel": "surface velocity",
-    "jnt_stiffnesspoly": "polynomial joint stiffness",
-    "dof_dampingpoly": "polynomial joint damping",
-    "tendon_stiffnesspoly": "polynomial tendon stiffness",
-    "tendon_dampingpoly": "polynomial tendon damping",
-    "jnt_springyield": "plastic joint springs",
-    "tendon_springyield": "plastic tendon springs",
-}
-"""Fields that native MuJoCo uses and MJX 3.17 silently ignores -> name of the feature."""
+_ALSO = ("tendon_armature", "tendon_actfrclimited")
+"""Fields that MJX computes, beyond those that the tables of `computed` know."""
+
+_LACKING = ("actuator_delay", "pair_adhesion")
+"""Fields that these tables know, and MJX ignores where they are not zero."""
+
+_CHECKED = ("opt.integrator", "opt.disableflags", "opt.enableflags", *NUMBERS)
+"""Fields of `computed.CHOICES` that MJX itself does not check; members of the others' enums it does."""
 
 
 def _refuse(model: mujoco.MjModel) -> None:
-    """Raise UnsupportedModel for features that MJX ignores."""
+    """Raise UnsupportedModel for features that MJX ignores: those of which it is not known that MJX computes them."""
 
     def refuse(what: str) -> None:
         raise UnsupportedModel(f"MJX silently ignores {what}: remove it from the model or use engine='native'")
 
-    for field, what in _IGNORED.items():
-        if np.any(getattr(model, field, 0)):
-            refuse(f"{what} ({field})")
-    if model.opt.enableflags & int(getattr(mujoco.mjtEnableBit, "mjENBL_SPECULATIVE", 0)):
-        refuse("speculative contacts (the enable flag speculative)")
+    for field in _CHECKED:
+        values = np.atleast_1d(base_field(model, field)).astype(int)
+        for i, value in enumerate(values.tolist()):
+            if what := not_computed(field, value):
+                refuse(f"{field} {what}{element_of(model, field, i)}")
+    for field, i in not_plain(model):
+        if field not in _ALSO:
+            refuse(f"{field} other than MuJoCo's default{element_of(model, field, i)}")
+    for field in _LACKING:
+        if len(odd := np.flatnonzero(base_field(model, field))):
+            refuse(f"{field}{element_of(model, field, int(odd[0]))}")
     turning = np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL)).any()
     if MUJOCO_4 and turning and model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         raise UnsupportedModel(
             "MJX integrates free and ball joints with RK4 as MuJoCo did before 4.0: use engine='native' or 'lanes', or "
             "another integrator"
         )
-    if model.opt.noslip_iterations:
-        refuse("the noslip solver (opt.noslip_iterations)")
     fast = model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     if MUJOCO_4 and fast and model.jnt_actfrclimited.any() and np.any(model.actuator_biasprm[:, 2]):
         raise UnsupportedModel(
@@ -213,7 +245,8 @@ def _refuse(model: mujoco.MjModel) -> None:
     if not np.all(pid):
         raise UnsupportedModel("mjx: `pid` and other actuators in one model; make all of them `pid` or none")
     joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_biasprm[:, 1] < 0)
-    if not joint.all() or np.any(model.actuator_dynprm) or np.any(model.actuator_ctrlnum != 1):
+    position = model.actuator_ctrlspec == mujoco.mjtCtrlInput.mjINPUT_POS
+    if not joint.all() or np.any(model.actuator_dynprm) or not position.all():
         raise UnsupportedModel(
             f"mjx: `pid` actuators ({', '.join(names[:3])}, ...) must act on hinges or slides, with kp > 0, "
             "input='pos' and neither imax nor slewmax; use engine='native' for others"

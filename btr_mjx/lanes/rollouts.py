@@ -18,7 +18,14 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
-from btr_mjx.engines import UnsupportedModel, base_field, expand, possible_contacts, require_supported
+from btr_mjx.engines import (
+    UnsupportedModel,
+    base_field,
+    expand,
+    possible_contacts,
+    require_same_structure,
+    require_supported,
+)
 from btr_mjx.errors import InputError
 from btr_mjx.lanes.coverage import as_model
 from btr_mjx.models import write_field
@@ -111,6 +118,7 @@ def rollout(
     else:
         try:
             leaves = _with_constants(m, count, leaves)
+            require_same_structure(m, leaves)
             few = np.unique(np.linspace(0, count - 1, _SAMPLE).astype(int))
             sample = _Sample(start[few], control[few], {name: x[few] for name, x in leaves.items()})
             program = _program(_Structure(content_digest(m), tuple(sorted(leaves)), m, sample), chunk)
@@ -190,7 +198,7 @@ def _checked(
     if start.ndim != 2 or start.shape[1] != size:
         raise InputError(f"initial_states: got {start.shape}, expected (B, {size}): mjSTATE_FULLPHYSICS of the model")
     if control.ndim != 3 or control.shape[2] != m.nu:
-        raise InputError(f"controls: got {control.shape}, expected (B, T, {m.nu}), one column for each actuator")
+        raise InputError(f"controls: got {control.shape}, expected (B, T, {m.nu}), one column for each control")
     if control.shape[1] == 1 and steps:
         control = np.repeat(control, steps, axis=1)
     if not control.shape[1] or (steps and control.shape[1] != steps):
@@ -252,7 +260,12 @@ def _with_constants(m: mujoco.MjModel, count: int, leaves: dict[str, np.ndarray]
     if not leaves:
         return leaves
     batch = _batch(m, count, leaves)
-    names = ["body_invweight0", "dof_invweight0", *(("tendon_invweight0", "tendon_length0") if m.ntendon else ())]
+    names = [
+        "body_invweight0",
+        "body_subtreemass",
+        "dof_invweight0",
+        *(("tendon_invweight0", "tendon_length0") if m.ntendon else ()),
+    ]
     names += ["eq_data"] if np.any(m.eq_type == mujoco.mjtEq.mjEQ_CONNECT) else []  # a joined body's anchor
     return {name: np.array(batch.expand(name)) for name in names} | leaves
 

@@ -20,7 +20,15 @@ from btr_mjx.models.model_batch import Models, compile_models, varying_fields
 from btr_mjx.models.model_checks import COMPILE_ERRORS, check_model
 from btr_mjx.models.model_fields import read_field, write_field
 from btr_mjx.models.path_parameters import PathParameter, read_path_parameter
-from btr_mjx.models.paths import dof_places, nearest_names, parse_path, part_names, set_values
+from btr_mjx.models.paths import (
+    control_names,
+    dof_places,
+    nearest_names,
+    parse_path,
+    part_names,
+    refuse_several_controls,
+    set_values,
+)
 from btr_mjx.models.robot_checks import base_address, check_robot
 from btr_mjx.models.robot_file import chosen_robot, load_robot
 from btr_mjx.models.tangent import between, difference, integrate, sign_flips
@@ -38,6 +46,7 @@ __all__ = [
     "chosen_robot",
     "compile_mjcf",
     "compile_models",
+    "control_names",
     "difference",
     "dof_places",
     "files_of_model",
@@ -54,6 +63,7 @@ __all__ = [
     "part_names",
     "read_field",
     "read_path_parameter",
+    "refuse_several_controls",
     "robot_digest",
     "set_values",
     "sign_flips",

@@ -66,9 +66,9 @@ def read_controller(
     refuse_unknown_keys(table, known, where)
     if ".py:" in kind:
         return _own_signal(table, kind, model, file)
-    if model.nu == 0 or model.nu != len(model.actuator_trntype):
+    if model.nu == 0 or np.any(model.actuator_ctrlnum != 1):
         raise InputError(
-            f"{where}: the model has {len(model.actuator_trntype)} motors with {model.nu} controls; a built-in signal "
+            f"{where}: the model has {model.nactuator} motors with {model.nu} controls; a built-in signal "
             "needs motors with one control each, use a signal of your own (FILE.py:FUNCTION)"
         )
     groups = _groups(table, model, file)
@@ -82,7 +82,7 @@ def controls_at_start(model: mujoco.MjModel, keyframe: str) -> np.ndarray:
     if keyframe:
         return model.key(keyframe).ctrl.copy()
     out = np.zeros(model.nu)
-    for a in range(len(model.actuator_trntype)):
+    for a in range(model.nactuator):
         servo = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[a, 1] < 0
         if servo and model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT:
             joint = int(model.actuator_trnid[a, 0])

@@ -30,7 +30,7 @@ KINDS: Mapping[str, tuple[mujoco.mjtObj, str]] = {
     "joint": (mujoco.mjtObj.mjOBJ_JOINT, "njnt"),
     "body": (mujoco.mjtObj.mjOBJ_BODY, "nbody"),
     "geom": (mujoco.mjtObj.mjOBJ_GEOM, "ngeom"),
-    "actuator": (mujoco.mjtObj.mjOBJ_ACTUATOR, "nu"),
+    "actuator": (mujoco.mjtObj.mjOBJ_ACTUATOR, "nactuator"),
     "site": (mujoco.mjtObj.mjOBJ_SITE, "nsite"),
     "tendon": (mujoco.mjtObj.mjOBJ_TENDON, "ntendon"),
     "sensor": (mujoco.mjtObj.mjOBJ_SENSOR, "nsensor"),
@@ -54,6 +54,9 @@ ATTRIBUTES: Mapping[str, Mapping[str, str]] = {
     "option": {name: "" for name in ("timestep", "gravity", "wind", "density", "viscosity")},
 }
 """Kind -> attribute -> field of MjModel ("" where the attribute has no field of its own)."""
+
+_ADDRESSES = {"ctrlrange": "actuator_ctrladr", "gear": "actuator_outadr"}
+"""Attributes of which an actuator has one for each of its controls or outputs -> where its first one is."""
 
 _PATH = re.compile(
     r"^(?P<kind>[a-z]+)(?:\[@name=['\"](?P<quoted>.*)['\"]\]|[:/](?P<name>.+))[/.]@?(?P<attribute>[a-z]+)$"
@@ -106,6 +109,27 @@ def part_names(model: mujoco.MjModel, kind: str) -> list[str]:
     return names
 
 
+def control_names(model: mujoco.MjModel) -> list[str]:
+    """Names of the nu controls: of an actuator with a single one its own, else "<name>/0", "<name>/1", ..."""
+    controls = zip(part_names(model, "actuator"), model.actuator_ctrlnum.tolist(), strict=True)
+    return [name if count == 1 else f"{name}/{i}" for name, count in controls for i in range(count)]
+
+
+def refuse_several_controls(model: mujoco.MjModel, where: str) -> None:
+    """Check that every actuator has one control and one output, as most code takes for granted.
+
+    Raises:
+      InputError: the message names the actuator.
+    """
+    for a, name in enumerate(part_names(model, "actuator")):
+        controls, outputs = int(model.actuator_ctrlnum[a]), int(model.actuator_outnum[a])
+        if controls != 1 or outputs != 1:
+            raise InputError(
+                f"{where}: the actuator {name!r} has {controls} controls and {outputs} outputs; expected one of each: "
+                'give a <pid> input="pos", and others as several actuators'
+            )
+
+
 @dataclass(frozen=True)
 class ModelPath:
     """A number of a model.
@@ -150,7 +174,7 @@ class ModelPath:
             return
         array, sign = self._view(model)
         array[self.index] = sign * value
-        pid = self.kind == "actuator" and model.actuator_dyntype[self.part] == mujoco.mjtDyn.mjDYN_PID
+        pid = self.kind == "actuator" and model.actuator_gaintype[self.part] == mujoco.mjtGain.mjGAIN_PID
         if (self.kind, self.attribute) == ("actuator", "kp") and not pid:
             model.actuator_gainprm[self.part, 0] = value
         if (self.kind, self.attribute) == ("actuator", "forcerange"):
@@ -180,6 +204,8 @@ class ModelPath:
             row = int(model.jnt_dofadr[self.part])
         elif self.kind == "joint" and self.attribute == "springref":
             row = int(model.jnt_qposadr[self.part])
+        elif self.kind == "actuator" and self.attribute in _ADDRESSES:
+            row = int(getattr(model, _ADDRESSES[self.attribute])[self.part])
         return np.atleast_1d(field[row : row + 1] if field.ndim == 1 else field[row]), 1.0
 
 

@@ -182,7 +182,8 @@ def test_commands_of_every_kind_of_motor() -> None:
         """<mujoco><worldbody><body><joint name="a"/><geom size="0.1"/><body><joint name="b" type="slide"/>
         <geom size="0.1"/></body></body></worldbody><actuator><motor name="m" joint="a"/><motor name="g" joint="a"
         gear="9"/><position name="p" joint="b" kp="20"/><velocity name="v" joint="a" kv="3"/>
-        <motor name="s" joint="b"/></actuator></mujoco>"""
+        <motor name="s" joint="b"/><pid name="i" joint="b" kp="3" kv="1" input="pos"/><pid name="two" joint="a" kp="3"
+        kv="1"/></actuator></mujoco>"""
     )
     kinds = command_kinds(model)
     assert kinds["m"] == "torque of joint `a` [N m]"
@@ -190,6 +191,10 @@ def test_commands_of_every_kind_of_motor() -> None:
     assert kinds["p"] == "position of joint `b` [m]"
     assert kinds["v"] == "velocity of joint `a` [rad/s]"
     assert kinds["s"] == "force of joint `b` [N]"
+    assert kinds["i"] == "position of joint `b` [m]"
+    assert [name for name in kinds if name.startswith("two")] == ["two/0", "two/1"]
+    assert kinds["two/1"].startswith("control of joint `a`")
+    assert len(kinds) == model.nu
     assert all(kind.startswith("position of joint") for kind in command_kinds(base_model(hexapod())).values())
 
 

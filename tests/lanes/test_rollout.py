@@ -144,7 +144,7 @@ def test_fields_may_differ_between_worlds(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize(
     ("extra", "near", "words"),
     [
-        (REFUSED, 0.0, "spatial tendons"),
+        (REFUSED, 0.0, "mjWRAP_SITE"),
         ("", 1.0, "worlds that were tried"),
     ],
 )
@@ -244,3 +244,17 @@ def test_bad_input_is_named(arguments: tuple, words: str) -> None:
         lanes.rollout(ARM.format(extra=""), np.zeros((1, 19)), steps=2, varying={"mass_of_body": [[1.0]]})
     with pytest.raises(InputError, match="nothing"):
         lanes.coverage("nothing.xml")
+
+
+def test_worlds_that_bring_what_is_refused_are_left_to_native(rng: np.random.Generator) -> None:
+    """Here friction loss of a free joint."""
+    model = mujoco.MjModel.from_xml_string(ARM.format(extra=""))
+    losses = np.zeros((3, model.nv))
+    losses[1] = 0.1
+    states, controls = starts(model, 3, rng, near=0), rng.uniform(-1, 1, (3, 20, 2))
+    found = lanes.rollout(model, states, controls, varying={"dof_frictionloss": losses})
+    assert "friction loss of a free joint" in found.note
+    for i in range(3):
+        own = mujoco.MjModel.from_xml_string(ARM.format(extra=""))
+        own.dof_frictionloss[:] = losses[i]
+        np.testing.assert_array_equal(found.state[i : i + 1], native(own, states[i : i + 1], controls[i : i + 1]))

@@ -33,7 +33,7 @@ from btr_mjx.backtoreality.reality.measurements import (
 from btr_mjx.errors import DamagedFile, InputError
 from btr_mjx.evaluation import FitnessFunction, FitnessLike, fitness_of
 from btr_mjx.gap.data import Recording, make_recording, read_columns, with_bases
-from btr_mjx.models import base_model, part_names
+from btr_mjx.models import base_model, control_names
 from btr_mjx.robots import Robot
 from btr_mjx.runs import atomic_write, note
 
@@ -150,7 +150,7 @@ class FolderReality:
         path = self.folder / "trials" / name
         if path.is_file() and path.read_bytes() != table:
             raise self._foreign(f"{path} has other trials than this run asks for")
-        names = part_names(base_model(self.robot), "actuator")
+        names = control_names(base_model(self.robot))
         time = np.arange(0.0, self.robot.duration + 0.5 / self.rate, 1.0 / self.rate)
         for i, controller in zip(ids, controllers, strict=True):
             values = np.stack([self.robot.signal(controller[:, None], t, np)[:, 0] for t in time])

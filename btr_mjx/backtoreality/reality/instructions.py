@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import mujoco
 
 from btr_mjx.evaluation import FitnessFunction, track_configurations
-from btr_mjx.models import base_model, part_names, start_of
+from btr_mjx.models import base_model, control_names, part_names, start_of
 from btr_mjx.robots import Robot
 
 
@@ -60,9 +60,9 @@ def fitness_in_words(robot: Robot, fitness: FitnessFunction) -> str:
 
 
 def command_kinds(model: mujoco.MjModel) -> dict[str, str]:
-    """Motor -> what its command means, with the unit."""
-    joints, out = part_names(model, "joint"), {}
-    for i, name in enumerate(part_names(model, "actuator")):
+    """Control -> what it means, with the unit."""
+    joints, controls, out = part_names(model, "joint"), control_names(model), dict[str, str]()
+    for i, first in enumerate(model.actuator_ctrladr.tolist()):
         gain, bias = model.actuator_gainprm[i], model.actuator_biasprm[i]
         on_joint = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
         joint = int(model.actuator_trnid[i, 0])
@@ -70,15 +70,18 @@ def command_kinds(model: mujoco.MjModel) -> dict[str, str]:
         length, force = ("m", "N") if slides else ("rad", "N m")
         where = f" of joint `{joints[joint]}`" if on_joint else ""
         plain = abs(model.actuator_gear[i, 0] - 1) < 1e-9
-        if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_PID or (bias[1] < 0 and gain[0] == -bias[1]):
+        pid = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_PID
+        if (pid and model.actuator_ctrlspec[i] == mujoco.mjtCtrlInput.mjINPUT_POS) or (
+            not pid and bias[1] < 0 and gain[0] == -bias[1]
+        ):
             kind = f"position{where} [{length}]"
-        elif bias[1] == 0 and bias[2] < 0 and gain[0] == -bias[2]:
+        elif not pid and bias[1] == 0 and bias[2] < 0 and gain[0] == -bias[2]:
             kind = f"velocity{where} [{length}/s]"
         elif not bias.any() and gain[0] == 1 and plain and model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE:
             kind = f"{'force' if slides else 'torque'}{where} [{force}]"
         else:
             kind = f"control{where}, as the actuator of the model takes it"
-        out[name] = kind
+        out |= dict.fromkeys(controls[first : first + int(model.actuator_ctrlnum[i])], kind)
     return out
 
 

@@ -1,4 +1,4 @@
-"""Access to MjModel fields for one model or a batch of models: which may vary, their elements, poses of bodies."""
+"""Access to MjModel fields for one model or a batch of models: their elements, and poses of bodies."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,48 +6,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-VARYING = frozenset(
-    f"{group}_{field}"
-    for group, fields in {
-        "body": "mass inertia ipos iquat pos quat invweight0",
-        "geom": "pos quat size friction solref solimp solmix margin",
-        "jnt": "axis pos range margin stiffness solref solimp actfrcrange",
-        "dof": "damping armature frictionloss invweight0 solref solimp",
-        "actuator": "gainprm biasprm dynprm gear ctrlrange forcerange actrange delay",
-        "tendon": "range margin frictionloss invweight0 length0 solref_lim solimp_lim solref_fri solimp_fri",
-        "eq": "data solref solimp",
-        "site": "pos quat",
-    }.items()
-    for field in fields.split()
-) | {"qpos0", "qpos_spring", "opt.gravity", "opt.wind", "opt.density", "opt.viscosity", "opt.impratio"}
-"""Fields that may differ between worlds."""
-
-_NO_INFLUENCE = frozenset(
-    f"{group}{field}"
-    for group, fields in {
-        "body_": "subtreemass margin",
-        "geom_": "aabb rbound rgba",
-        "dof_": "M0 length",
-        "actuator_": "acc0 length0 lengthrange cranklength",
-        "tendon_": "width rgba",
-        "opt.": "magnetic tolerance ls_tolerance ccd_tolerance sleep_tolerance iterations ls_iterations",
-    }.items()
-    for field in fields.split()
-)
-"""Fields with these prefixes that do not influence motion, or only through other fields."""
-
-
-def base_field(model: mujoco.MjModel, field: str) -> np.ndarray:
-    """A field of the model in float64; options are called "opt.<name>"."""
-    owner = model.opt if field.startswith("opt.") else model
-    return np.asarray(getattr(owner, field.removeprefix("opt.")), np.float64)
-
-
-def influences_motion(field: str) -> bool:
-    """Whether a field can influence the motion of a supported model, other than through fields derived from it."""
-    bodies = ("body_", "jnt_", "dof_", "geom_", "site_pos", "site_quat", "opt.", "qpos")
-    physical = field.startswith((*bodies, "actuator_", "tendon_", "wrap_", "eq_"))
-    return physical and field not in _NO_INFLUENCE and not field.endswith("_user") and not field.startswith("body_bvh")
+from btr_mjx.engines.computed import base_field
 
 
 class Fields:

@@ -11,6 +11,7 @@ import jax
 import mujoco
 import numpy as np
 
+from btr_mjx.engines.computed import element_name
 from btr_mjx.engines.guards.pairs import PairGroup, bounding_box, shape_kind
 from btr_mjx.engines.lanes_engine import support
 from btr_mjx.engines.lanes_engine.contact_parameters import (
@@ -43,7 +44,7 @@ def _inertia(model: mujoco.MjModel, fields: Fields, body: int) -> dict[str, np.n
         about = (axes * fields("body_inertia", b)[..., None, :]) @ np.swapaxes(axes, -1, -2)
         square = (c * c).sum(-1)[..., None, None] * np.eye(3) - c[..., :, None] * c[..., None, :]
         own, h = own + mass[..., 0], h + mass * c
-        if model.body_gravcomp[b] and _passive_forces(model):
+        if model.flg_gravcomp and model.body_gravcomp[b] and _passive_forces(model):
             lift = lift + model.body_gravcomp[b] * mass * np.concatenate([np.ones_like(c[..., :1]), c], -1)
         tensor = tensor + about + mass[..., None] * square
     six = [tensor[..., i, j] for i, j in SIX]
@@ -86,11 +87,14 @@ def _joint(model: mujoco.MjModel, fields: Fields, joint: Joint, j: int) -> dict[
     if support.disabled(model, "DAMPER"):
         result["damping"] = np.zeros((1, 1, len(joint.dofs)))
     if joint.kind == FREE:
+        turning = result["armature"][..., 3:]
+        if support.turns_alone(model, j) and np.any(turning != turning[..., :1]):
+            raise support.refuse("armature that differs between the axes in which a free body turns, implicitfast")
         return result
     if joint.turned:
         for what in ("damping", "armature"):
             if np.any(result[what] != result[what][..., :1]):
-                where = support.name(model, mujoco.mjtObj.mjOBJ_JOINT, j)
+                where = element_name(model, mujoco.mjtObj.mjOBJ_JOINT, j)
                 raise support.refuse(f"{what} that differs between the axes of a ball joint with a limit ({where})")
     axis = fields("jnt_axis", j)
     result |= {
@@ -195,6 +199,8 @@ def _placed_geom(model: mujoco.MjModel, fields: Fields, geom: int) -> dict[str, 
     position = position + apply_matrix(matrix, fields("geom_pos", geom))
     matrix = matrix @ rotation_matrices(fields("geom_quat", geom))
     size = fields("geom_size", geom)
+    if model.geom_type[geom] == support.SPHERE:
+        size = size * [1.0, 0.0, 0.0]  # it may count as a capsule, without length
     if shape_kind(model, geom) != model.geom_type[geom]:
         box = bounding_box(model, geom)
         position, size = position + apply_matrix(matrix, box[None, None, :3]), box[None, None, 3:]

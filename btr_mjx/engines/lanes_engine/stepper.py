@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from btr_mjx.engines.base import Leaves
+from btr_mjx.engines.computed import VARYING, base_field, may_differ
 from btr_mjx.engines.guards.hulls import near_meshes
 from btr_mjx.engines.guards.pairs import group_by_condim, group_by_kinds
 from btr_mjx.engines.guards.placed_geoms import PlacedGeoms, Pose
@@ -38,7 +39,7 @@ from btr_mjx.engines.lanes_engine.dynamics import (
     opposing_forces,
     world_rates,
 )
-from btr_mjx.engines.lanes_engine.field_access import VARYING, Fields, base_field, influences_motion, rigid_root
+from btr_mjx.engines.lanes_engine.field_access import Fields, rigid_root
 from btr_mjx.engines.lanes_engine.integrate import Forward, integrate_step, runge_kutta
 from btr_mjx.engines.lanes_engine.kinematics import Motion, motions
 from btr_mjx.engines.lanes_engine.lanes_state import (
@@ -49,8 +50,8 @@ from btr_mjx.engines.lanes_engine.lanes_state import (
     split_rows,
 )
 from btr_mjx.engines.lanes_engine.parameters import Parameters, derive, split_constants
-from btr_mjx.engines.lanes_engine.tree import BALL, FREE
 from btr_mjx.engines.lanes_engine.tree_builder import has_constraints, make_plan
+from btr_mjx.engines.lanes_engine.worlds import require_same_structure
 from btr_mjx.engines.rewriting import retrace
 from btr_mjx.engines.scalars import add, array, vadd, vsub
 
@@ -115,14 +116,11 @@ class LanesStepper:
     def _read_masks(self, varying: Iterable[str] | Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Field name -> bool array of the field's shape."""
         masks = {}
-        shapes = ("pair_", *(("mesh_vert", "hfield_") if self.geoms else ()))
         for name in sorted(varying):
-            if name.startswith(shapes):
-                raise support.refuse(f"a field {name!r} of contacts that differs between worlds")
-            if not influences_motion(name):
-                continue
-            if name not in VARYING:
+            if not may_differ(name, guards_geoms=bool(self.geoms)):
                 raise support.refuse(f"a field {name!r} that differs between worlds")
+            if name not in VARYING:
+                continue
             shape = base_field(self._model, name).shape
             mask = np.asarray(varying[name], bool) if isinstance(varying, Mapping) else np.ones(shape, bool)
             if mask.shape != shape:
@@ -134,21 +132,16 @@ class LanesStepper:
         """See `Stepper.pack`.
 
         Raises:
-          UnsupportedModel: a free joint has stiffness or friction loss, or a ball joint with a limit has friction loss
-            or differs between its axes.
+          UnsupportedModel: the model of a world is not what this engine computes, or has another structure than the
+            base model.
           ValueError: a field of `varying` is missing, a field is given that does not vary, or a shape is wrong.
         """
-        if {name for name in leaves if influences_motion(name)} != set(self._masks):
+        if {name for name in leaves if name in VARYING} != set(self._masks):
             raise ValueError(f"got the fields {sorted(leaves)}, expected those that vary: {sorted(self._masks)}")
         for name, mask in self._masks.items():
             if leaves[name].shape[2:] != mask.shape:
                 raise ValueError(f"field {name!r} has shape {leaves[name].shape}, expected (N, C, *{mask.shape})")
-        kinds, limited = np.asarray(self._model.jnt_type), np.asarray(self._model.jnt_limited) != 0
-        free = kinds == FREE
-        smooth = (free | ((kinds == BALL) & limited))[self._model.dof_jntid]
-        for name, where in (("jnt_stiffness", free), ("dof_frictionloss", smooth)):
-            if name in self._masks and np.any(leaves[name][..., where]):
-                raise support.refuse(f"{name} of a free joint, or of a ball joint with a limit")
+        require_same_structure(self._model, leaves)
         _, arrays = split_constants(
             derive(self._model, self.plan, Fields(self._model, self._masks, leaves), self.geoms, self.between)
         )

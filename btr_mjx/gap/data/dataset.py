@@ -180,7 +180,7 @@ def header_of(table: Mapping[str, Any], folder: Path, path: Path, more: Sequence
     model, spec_xml = load_model(model_file, folder)
     control = read_control(table, path, notes)
     if control.measured == "force":
-        model = driven_by_forces(model, str(path))
+        model = driven_by_forces(model)
     return Dataset(
         folder=folder,
         model=model,

@@ -72,7 +72,7 @@ def load_table(
     except CommandsMissing as error:
         if head.control.measured:
             raise
-        model = driven_by_forces(head.model, str(path))
+        model = driven_by_forces(head.model)
         note = f"{error}, but forces of the actuators: they drive the model, and controllers may be unknown"
         head = replace(head, model=model, forces=True, notes=(*head.notes, note))
         return _load_table(head, table, path, progress, text)
@@ -159,7 +159,7 @@ def _model_and_name(
         model, _ = load_model(file_inside(row, "model", head.folder, where), head.folder)
         if model_columns(model) != model_columns(head.model):
             raise InputError(f"{where}: model {row['model']!r} has other joints or actuators than the dataset's model")
-        model = driven_by_forces(model, where) if head.forces else model
+        model = driven_by_forces(model) if head.forces else model
     if overrides:
         if not isinstance(overrides, Mapping) or not all(is_number(v) for v in overrides.values()):
             raise InputError(f'{where}: overrides: expected {{"body:arm/mass" = 0.5, ...}}, got {overrides!r}')

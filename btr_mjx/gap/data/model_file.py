@@ -5,7 +5,7 @@ from pathlib import Path
 import mujoco
 
 from btr_mjx.errors import InputError, one_line
-from btr_mjx.models import COMPILE_ERRORS, check_mjcf, check_model, with_light_meshes
+from btr_mjx.models import COMPILE_ERRORS, check_mjcf, check_model, refuse_several_controls, with_light_meshes
 from btr_mjx.runs import read_text
 
 
@@ -13,7 +13,8 @@ def load_model(path: Path, inside: Path) -> tuple[mujoco.MjModel, str]:
     """Compile an MJCF file, which may not name files outside of the folder `inside`; also returns its text.
 
     Raises:
-      InputError: the file is absent, MuJoCo rejects it, its numbers cannot be simulated, or the model has no joint.
+      InputError: the file is absent, MuJoCo rejects it, its numbers cannot be simulated, the model has no joint, or an
+        actuator has several controls.
       DamagedFile: it is not UTF-8.
     """
     if not path.is_file():
@@ -28,6 +29,7 @@ def load_model(path: Path, inside: Path) -> tuple[mujoco.MjModel, str]:
     if model.njnt == 0:
         raise InputError(f"{path}: the model has no joints, so that nothing can move; expected at least one")
     check_model(model, str(path))
+    refuse_several_controls(model, str(path))
     return model, text
 
 

@@ -25,7 +25,7 @@ DRIVES = """<mujoco><worldbody><body><joint name="hip"/><geom size="0.1" pos="0 
 
 def test_forces_that_were_measured_move_the_model_as_its_own_drives_did() -> None:
     model = mujoco.MjModel.from_xml_string(DRIVES)
-    driven = driven_by_forces(model, "robot.xml")
+    driven = driven_by_forces(model)
     one, other, angles = mujoco.MjData(model), mujoco.MjData(driven), []
     for _ in range(500):
         one.ctrl[:] = np.sin(7 * one.time), np.cos(5 * one.time)
@@ -41,7 +41,7 @@ def test_forces_that_were_measured_move_the_model_as_its_own_drives_did() -> Non
 
 def test_efforts_are_what_drives_and_commands_have_no_use() -> None:
     columns = ["time", "q_shoulder", "q_elbow", "shoulder_cmd", "u_elbow", "tau_shoulder", "effort/elbow"]
-    found = match_columns([("log", columns)], driven_by_forces(MODEL, "x"), {}, "log.csv", forces=True).names
+    found = match_columns([("log", columns)], driven_by_forces(MODEL), {}, "log.csv", forces=True).names
     assert {column: target for (_, column), target in found.items() if target.startswith(("ctrl", "force"))} == {
         "tau_shoulder": "ctrl/shoulder",
         "effort/elbow": "ctrl/elbow",
