@@ -148,7 +148,7 @@ def headline_numbers(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     if levels.unit == "noise":
         many = (("misfit, believed model", levels.before), ("mended model", levels.after))
         rows += [(name, misfit_in_words(value)) for name, value in many if value is not None]
-        rows += [("noise", "1")]
+        rows += [("noise and time step", "1")]
     elif levels.before is not None:
         two = (("held-out Delta_fitness", levels.before), ("after", levels.after))
         rows += [(name, error_in_words(value, levels.unit)) for name, value in two if value is not None]

@@ -82,11 +82,11 @@ def joint_error_table(result: Mapping[str, Any]) -> list[Table]:
     if not found:
         return []
     names = {
-        "before": "believed model",
-        "after": "mended model",
+        "before": "believed",
+        "after": "mended",
         "constant_velocity": "constant velocity",
-        "noise": "noise alone",
-        "time_step": "time step alone",
+        "noise": "noise",
+        "time_step": "time step",
         "floor": "both",
     }
     keys = [key for key in names if all(row.get(key) is not None for row in found)]
@@ -96,9 +96,12 @@ def joint_error_table(result: Mapping[str, Any]) -> list[Table]:
         errors = [format_number(float(in_reading_unit(float(row[key]), row["unit"])[0])) for key in keys]
         ratios = [misfit_in_words(times_noise(row, key)) for key in models]
         rows.append([row["joint"], *errors, reading_unit(row["unit"]), *ratios])
-    columns = ["joint", *(names[key] for key in keys), "unit", *(f"misfit, {names[key]}" for key in models)]
+    columns = ["joint", *(names[key] for key in keys), "unit", *(f"misfit {names[key]}" for key in models)]
     ahead = f"{found[0]['horizon']:g} s after a measured state"
-    note = f"Root mean square error of positions of held-out recordings, {ahead}. Misfit: the same ({SCALE})."
+    note = (
+        f"Root mean square error of positions of held-out recordings, {ahead}, and what noise alone, the time step "
+        f"alone, and both make of it. Misfit: the error in units of both ({SCALE})."
+    )
     return [Table(columns, rows, note)]
 
 
