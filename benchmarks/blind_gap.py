@@ -110,8 +110,12 @@ def solve(data: Path) -> dict[str, Any]:
         if not row["beside"] and f"{row['effect']}@{row['location']}" not in diagnosis.equivalent
     ]
     best = result["ranking"][0]["score"] if result["ranking"] else 0.0
-    keys = ("verdict", "effects", "equivalent", "gap", "unexplained", "share", "lack_of_fit", "steps", "seconds")
-    answer = {key: result[key] for key in keys} | {"ranking": result["ranking"][:10], "best_score": best}
+    keys = ("verdict", "effects", "equivalent", "unexplained", "share", "lack_of_fit", "steps", "seconds")
+    answer = (
+        {key: result[key] for key in keys}
+        | {"gap": result["chi2"], "misfit": result["misfit"]}
+        | {"ranking": result["ranking"][:10], "best_score": best}
+    )
     return answer | {"margin": best - others[0]["score"] if others and result["ranking"] else None}
 
 

@@ -83,7 +83,18 @@ def solve(folder: Path) -> dict[str, Any]:
     dataset, findings = checked(dataset)
     refuse_errors(findings)
     result = as_result(identify(dataset), dataset)
-    keys = ("verdict", "effects", "equivalent", "gap", "unexplained", "share", "lack_of_fit", "interpolation", "where")
+    keys = (
+        "verdict",
+        "effects",
+        "equivalent",
+        "chi2",
+        "misfit",
+        "unexplained",
+        "share",
+        "lack_of_fit",
+        "interpolation",
+        "where",
+    )
     return {
         **{key: result[key] for key in keys},
         "ranking": result["ranking"][:8],

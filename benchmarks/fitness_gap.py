@@ -179,7 +179,7 @@ def _solved(config: Config, seed: int, responses: CandidateResponses) -> dict[st
     names = [row["effect"] for row in result["ranking"]]
     kinds = list(dict.fromkeys(names))
     first = result["ranking"][0]
-    gap = result["gap"]["before"]
+    gap = result["misfit"]["before"]
     return {
         "seed": seed,
         "missing": missing,
@@ -190,7 +190,6 @@ def _solved(config: Config, seed: int, responses: CandidateResponses) -> dict[st
         "top": [f"{row['effect']}@{row['location']}" for row in result["ranking"][:5]],
         "before": gap,
         "fall": float(first["held_out"]) / gap,
-        "noise_floor": result["gap"]["noise_floor"],
         "steps": result["steps"],
         "seconds": result["seconds"],
     }

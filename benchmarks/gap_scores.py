@@ -152,6 +152,12 @@ def parameter_error(missing: Mapping[str, Any], named: Mapping[str, Any]) -> flo
     )
 
 
+def gap_closed(chi2: Mapping[str, float]) -> float:
+    """Share of the held-out chi^2 beyond what noise leaves that is closed."""
+    excess = chi2["before"] - min(chi2["nulls"], chi2["after"])
+    return (chi2["before"] - chi2["after"]) / excess if excess > 0 else 0.0
+
+
 def judge(model: mujoco.MjModel, case: Case) -> dict[str, Any]:
     """Row of the table of cases: truth, answer, detectability and correctness of one case."""
     truth, answer, oracle = case["truth"], case["answer"], case["oracle"]
@@ -175,7 +181,7 @@ def judge(model: mujoco.MjModel, case: Case) -> dict[str, Any]:
         "margin": answer["margin"],
         "gap_before": answer["gap"]["before"],
         "gap_after": answer["gap"]["after"],
-        "gap_closed": answer["gap"]["closed"],
+        "gap_closed": gap_closed(answer["gap"]),
         "gap_seen": answer["gap"]["before"] > answer["gap"]["nulls"],
         "set_size": len(answer["equivalent"]),
         "steps": answer["steps"],

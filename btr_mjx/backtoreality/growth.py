@@ -159,15 +159,15 @@ def seek(
 def entries_of_diagnosis(diagnosis: Diagnosis, problem: Problem, state: State, most: int) -> list[dict[str, Any]]:
     """Effects of a diagnosis as entries of `State.grown`, `most` of them at most."""
     entries: list[dict[str, Any]] = []
-    model = general_model(problem.robot, state.simulation)
+    model, misfit = general_model(problem.robot, state.simulation), diagnosis.misfit
     for effect in diagnosis.effects[:most]:
         sizes = {name: estimate.value for name, estimate in effect.parameters.items()}
         own, place, _ = resolve_effect(model, FoundEffect(effect.effect, effect.location, sizes), EFFECTS)
         lowest = {p.name: p.low for p in own.parameters(model, Scales.of(model), place)}
         numbers = {}
         for name, estimate in effect.parameters.items():
-            reach = _WIDER * max(estimate.high - estimate.value, estimate.value - estimate.low)
-            reach = reach if np.isfinite(reach) and reach > 0 else max(abs(estimate.value - estimate.null), 1e-9)
+            reach = _WIDER * (estimate.reach or 0.0)
+            reach = reach if reach > 0 else max(abs(estimate.value - estimate.null), 1e-9)
             # The null stays possible: whether the effect is there is for step 3 to say. Friction is not negative.
             low = min(max(estimate.value - reach, lowest[name]), estimate.null)
             high = max(estimate.value + reach, estimate.null)
@@ -184,8 +184,8 @@ def entries_of_diagnosis(diagnosis: Diagnosis, problem: Problem, state: State, m
                 "location": effect.location,
                 "numbers": numbers,
                 "iteration": state.iteration,
-                "gap_before": diagnosis.gap.before,
-                "gap_after": diagnosis.gap.after,
+                "gap_before": misfit.before if misfit else None,
+                "gap_after": misfit.after if misfit else None,
             }
         )
     return entries

@@ -45,7 +45,7 @@ def search_missing(
     from btr_mjx.gap.fitness_only import FitnessTable, expected_steps, identify_fitness
     from btr_mjx.gap.forces import identify_changes
     from btr_mjx.gap.inference import identify
-    from btr_mjx.gap.results import as_result, before_entry, save_diagnosis, save_quantities
+    from btr_mjx.gap.results import before_entry, save_diagnosis, save_quantities
     from btr_mjx.gap.simulate import followed_search
 
     total = round(expected_steps(dataset, library)) if isinstance(dataset, FitnessTable) else None
@@ -53,8 +53,7 @@ def search_missing(
         more: dict[str, Any] = {"seed": seed, "signal": "trajectory"}
         if isinstance(dataset, FitnessTable):
             diagnosis, data = identify_fitness(dataset, library, report_stage, counter=journal), dataset.head
-            gap = as_result(diagnosis, data)["gap"] | {"unit": "m/s of Delta_fitness"}
-            more, proposal = {"seed": seed, "signal": "fitness", "gap": gap}, None
+            more, proposal = {"seed": seed, "signal": "fitness"}, None
         else:
             data = dataset
             if earlier:

@@ -38,9 +38,9 @@ def diagnosis_replay(folder: Path, frames: int, seconds: float) -> Replay:
     measured = sampled(recording, times)
     details = ["as in the dataset"]
     if found := found_effects(result):
-        first = (result["effects"] or result["calibration"])[0]
+        first = (result["effects"] or result.get("unnamed") or result["calibration"])[0]
         details.append(f"with {effect_title(first['effect'])}" + (" and more" if len(found) > 1 else ""))
-    unit = (result.get("gap") or {}).get("open_loop_unit", "")
+    unit = (result.get("open_loop") or {}).get("unit", "")
     drawn = _drawn_model(dataset, model)
     row = [ReplayedMotion("recording", recording.name, "", drawn, measured, measured=True)]
     for (title, world), detail in zip(worlds.items(), details, strict=True):
@@ -58,7 +58,7 @@ def compared_worlds(folder: Path) -> tuple[Dataset, Recording, dict[str, World]]
       folder: the run folder of a diagnosis that has ended.
 
     Returns:
-      The dataset, the recording, and the worlds by title: "believed model" and, where an effect was named, "mended
+      The dataset, the recording, and the worlds by title: "believed model" and, where there is one, "mended
       model".
 
     Raises:

@@ -12,7 +12,7 @@ from btr_mjx.gap.data import state_columns
 from btr_mjx.plotting import attempt
 from btr_mjx.replays.diagnosis_motions import compared_worlds, open_loop_positions
 from btr_mjx.replays.replay_records import hold_last_valid
-from btr_mjx.runs import read_arrays, read_json
+from btr_mjx.runs import read_arrays
 
 WriteMotions = Callable[[Path, Sequence[RecordedCurves], Sequence[RecordedPoses]], None]
 """Writes a file of curves and poses."""
@@ -82,8 +82,7 @@ def _motions(folder: Path) -> tuple[list[RecordedCurves], list[RecordedPoses]]:
 def _stretches(folder: Path) -> list[RecordedCurves]:
     """The held-out stretches of the page, in which each simulation starts from a measured state."""
     data = read_arrays(folder / "overlays.npz")
-    is_named = read_json(folder / "result.json")["verdict"] != "unexplained"
-    keys = {"measured": "measured", "before": "believed", "after": "mended" if is_named else "candidate"}
+    keys = {"measured": "measured", "before": "believed", "after": "mended"}
     curves = []
     joints = [str(name).removeprefix("joint ") for name in data["names"]]
     for n, (joint, unit) in enumerate(zip(joints, data["units"].tolist(), strict=True)):

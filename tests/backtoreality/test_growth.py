@@ -218,9 +218,9 @@ def test_an_unknown_parameter_changes_what_it_does_in_S(robot: Path | None) -> N
 def test_recordings_propose_what_they_prefer() -> None:
     row = RankedCandidate("dry_friction", "joint:elbow", 12.0, 0.0, 15.0, 6.0, {"torque": 0.1})
     rows = (row, replace(row, beside=("armature@joint:elbow",)), replace(row, effect="backlash", score=-1.0))
-    diagnosis = replace(FOUND, verdict="unexplained", ranking=rows)
+    diagnosis = replace(FOUND, unexplained=("a force",), joint_errors=(), ranking=rows)
     assert [(one.effect, one.values) for one in proposals(diagnosis)] == [("dry_friction", {"torque": 0.1})]
-    assert proposals(replace(diagnosis, verdict="none")) == []
+    assert proposals(replace(diagnosis, found=(), unexplained=())) == []
 
 
 def test_bounds_of_new_dimensions(ended: tuple[Problem, State]) -> None:
@@ -228,7 +228,7 @@ def test_bounds_of_new_dimensions(ended: tuple[Problem, State]) -> None:
     made, state = ended
     diagnosis = replace(
         FOUND,
-        effects=(
+        found=(
             NamedEffect("dry_friction", "joint:elbow", {"torque": Estimate(0.1, 0.05, 0.2, "N m")}, 1.0, 1.0),
             NamedEffect("armature", "joint:elbow", {"armature": Estimate(0.1, 0.09, 0.12, "kg m^2")}, 1.0, 1.0),
         ),

@@ -22,8 +22,8 @@ from btr_mjx.gap.results import (
 
 MISSING = NamedEffect("viscous_damping", "joint:servo", {"damping": Estimate(0.01, 0.009, 0.011, "N m s/rad")}, 50, 9)
 CHANGE = NamedEffect("dry_friction", "joint:servo", {"torque": Estimate(-0.031, -0.034, -0.028, "N m")}, 80.0, 30.0)
-BEFORE = dataclasses.replace(FOUND, effects=(MISSING,), ranking=(), equivalent=(), confounds=(), overlays=())
-AFTER = dataclasses.replace(BEFORE, effects=(CHANGE,), calibration=(MISSING,))
+BEFORE = dataclasses.replace(FOUND, found=(MISSING,), ranking=(), equivalent=(), confounds=(), overlays=())
+AFTER = dataclasses.replace(BEFORE, found=(CHANGE,), calibration=(MISSING,))
 
 
 def wear(count: int) -> Quantity:

@@ -1,6 +1,7 @@
 """The command: settings, errors in one line, the run folder, the demo. The search itself is a stand-in here."""
 
 import dataclasses
+import html
 import json
 import re
 import shutil
@@ -22,11 +23,24 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap import inference
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.results import Estimate, NamedEffect, place_in_words
+from btr_mjx.gap.results import (
+    Estimate,
+    JointError,
+    NamedEffect,
+    detail_sentences,
+    detail_statements,
+    misfit_in_words,
+    misfit_of,
+    off_by,
+    place_in_words,
+    times_noise,
+    verdict_sentence,
+    verdict_statements,
+)
 from btr_mjx.gap.simulate import Journal
-from btr_mjx.runs import progress
+from btr_mjx.runs import progress, read_json
 
-NOTHING = dataclasses.replace(FOUND, verdict="none", effects=(), equivalent=())
+NOTHING = dataclasses.replace(FOUND, found=(), equivalent=())
 
 
 @pytest.fixture(scope="module")
@@ -91,10 +105,11 @@ def test_a_run_folder(folder: Path, searches: list, capsys: pytest.CaptureFixtur
         "null": 0,
         "edge": False,
     }
-    assert {"before", "after", "noise_floor"} <= set(result["gap"])
+    assert {"unit", "before", "after", "noise_reached", "explained"} <= set(result["misfit"])
     assert {"ranking", "equivalent", "next_experiment"} <= set(result)
     assert result["confounds"] == [dataclasses.asdict(FOUND.confounds[0])]
     assert "<li>More viscous damping.</li>" in (run / "report.html").read_text()
+    check_all_say_the_same(run, out)
     names = {path.name for path in run.iterdir()}
     assert {"config.json", "environment.json", "preflight.csv", "ranking.csv", "report.html", "mended.xml"} <= names
 
@@ -107,6 +122,30 @@ def test_quiet(folder: Path, searches: list, capsys: pytest.CaptureFixture[str],
     assert "dry friction" in out
     assert other == ""
     assert "2 recordings to fit" in (tmp_path / "run" / "preflight.csv").read_text()
+
+
+def flat(text: str) -> str:
+    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", text)).split())
+
+
+def check_all_say_the_same(run: Path, printed: str) -> None:
+    """Terminal, page, result.json and mended.xml have the sentences and numbers that follow from the saved numbers."""
+    result, page = read_json(run / "result.json"), flat((run / "report.html").read_text(encoding="utf-8"))
+    assert result["sentence"] == verdict_sentence(result)
+    assert result["details"] == detail_sentences(result)
+    misfit = misfit_of([JointError(**{k: v for k, v in row.items() if k != "floor"}) for row in result["joint_errors"]])
+    assert misfit is not None
+    assert result["misfit"]["before"] == pytest.approx(misfit.before, rel=1e-12)
+    for one in (*verdict_statements(result), *detail_statements(result)):
+        assert flat(one.text) in flat(printed.replace("\n    ", " "))
+        assert all(flat(part) in page for part in one.text.split(". "))
+    said = {key: value for one in detail_statements(result) for key, value in one.claims.items()}
+    assert f"{said['misfit']} misfit, believed model" in page or f"misfit, believed model {said['misfit']}" in page
+    for row in result["joint_errors"]:
+        cells = [off_by(row, key) for key in ("before", "after", "constant_velocity", "noise", "time_step", "floor")]
+        numbers = " ".join(cell.removesuffix("°") for cell in cells)
+        assert f"{row['joint']} {numbers} ° {misfit_in_words(times_noise(row, 'before'))}" in page
+    assert said["misfit after"] in (run / "mended.xml").read_text().splitlines()[0]
 
 
 def test_a_page_that_fails_is_one_line_after_the_result(
@@ -124,7 +163,7 @@ def test_effects_that_are_searched_where_nothing_is_touched_are_mended(
     folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     fading = NamedEffect("fading_motor", "actuator:servo", {"rate": Estimate(-0.01, -0.02, -0.005, "1/s")}, 80.0, 30.0)
-    found = dataclasses.replace(FOUND, effects=(fading,))
+    found = dataclasses.replace(FOUND, found=(fading,))
     monkeypatch.setattr(inference, "identify", lambda *args, **kwargs: found)
     diagnose.main([str(folder), "--out", str(tmp_path / "run"), "--no-progress"])
     mended = json.loads((tmp_path / "run" / "mended.json").read_text())
@@ -184,13 +223,15 @@ def test_a_finished_run_is_only_drawn_again(folder: Path, searches: list, tmp_pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", list(diagnose.DEMO_SEEDS))
-def test_the_demo_is_named_and_mended(robot: Any, tmp_path: Path) -> None:
+def test_the_demo_is_named_and_mended(robot: Any, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """The first thing a visitor runs, and the only place where tests search for what a walking robot lacks."""
-    result = diagnose.diagnose(demo=True, robot=robot, out=tmp_path, progress=False, figures=False)
+    diagnose.main(["--demo", "--robot", robot, "--out", str(tmp_path), "--no-progress"])
+    result = read_json(tmp_path / "result.json")
+    check_all_say_the_same(tmp_path, capsys.readouterr().out)
     truth = json.loads((tmp_path / "truth.json").read_text())
     found = [(effect["effect"], effect["location"]) for effect in result["effects"]]
     assert found == [(effect["effect"], effect["location"]) for effect in truth["effects"]]
-    assert result["gap"]["after"] < result["gap"]["before"]
+    assert result["misfit"]["after"] < result["misfit"]["before"]
     mujoco.MjModel.from_xml_path(str(tmp_path / "mended.xml"))
 
 

@@ -18,7 +18,7 @@ from mujoco import mjx
 from btr_mjx.backtoreality.run_exports import export_coevolution
 from btr_mjx.errors import InputError
 from btr_mjx.exports import ExportedParameter, field_ends, is_linear, robot_ends, write_exports
-from btr_mjx.gap.results import Estimate, FoundEffect, MendedModel, NamedEffect, mend
+from btr_mjx.gap.results import Diagnosis, Estimate, FoundEffect, MendedModel, NamedEffect, mend
 from btr_mjx.gap.results.exported import export_diagnosis
 from btr_mjx.models import compile_models, model_of, parse_path, set_values
 from btr_mjx.robots import Robot
@@ -88,7 +88,7 @@ def test_files(tmp_path: Path) -> None:
 
 def exported(folder: Path, *effects: NamedEffect) -> dict[str, Any]:
     """randomisation.json of a diagnosis of the arm."""
-    diagnosis: Any = SimpleNamespace(believed=(), effects=effects, calibration=())
+    diagnosis = Diagnosis(effects, (), 1, 1.0)
     dataset: Any = SimpleNamespace(parameters=())
     export_diagnosis(diagnosis, dataset, folder, lambda found: mend(gap_arm.XML, found))
     return json.loads((folder / "randomisation.json").read_text())["parameters"]
@@ -123,12 +123,13 @@ def test_effects_without_mjcf_have_no_ranges(tmp_path: Path) -> None:
 
 def test_files_agree_on_what_is_in_the_mjcf(tmp_path: Path) -> None:
     """An effect is inside mended.xml, or to be added beside it, in every file; ranges are of numbers inside it."""
-    nan = float("nan")
-    slow = NamedEffect("viscous_damping", "joint:shoulder", {"damping": Estimate(0.2, nan, nan, "N m s/rad")}, 9.0, 3.0)
+    slow = NamedEffect(
+        "viscous_damping", "joint:shoulder", {"damping": Estimate(0.2, None, None, "N m s/rad")}, 9.0, 3.0
+    )
     worn = NamedEffect("load_friction", "all", {"coefficient": Estimate(0.1, 0.08, 0.12, "1")}, 9.0, 3.0)
-    weak = NamedEffect("actuator_gain", "all", {"change": Estimate(0.02, 0.01, 0.03, "1")}, 9.0, 3.0)
-    late = NamedEffect("backlash", "joint:elbow", {"play": Estimate(0.01, 0.0, 0.02, "rad")}, 9.0, 3.0)
-    diagnosis: Any = SimpleNamespace(believed=(), effects=(DAMPING, slow, worn), calibration=(weak, late))
+    weak = NamedEffect("actuator_gain", "all", {"change": Estimate(0.02, None, None, "1")}, 9.0, 3.0)
+    late = NamedEffect("backlash", "joint:elbow", {"play": Estimate(0.01, None, None, "rad")}, 9.0, 3.0)
+    diagnosis = Diagnosis((DAMPING, slow, worn), (), 1, 1.0, calibration=(weak, late))
     dataset: Any = SimpleNamespace(parameters=())
     fixed = [weak.found(), late.found()]
     export_diagnosis(diagnosis, dataset, tmp_path, lambda found: mend(gap_arm.XML, [*fixed, *found]))
@@ -146,7 +147,7 @@ def test_files_agree_on_what_is_in_the_mjcf(tmp_path: Path) -> None:
 def test_what_mjcf_cannot_write_is_said(tmp_path: Path) -> None:
     """A model that could not be mended holds nothing of what was found."""
     failed = MendedModel(gap_arm.XML, notes=("the model could not be mended: for some reason",))
-    diagnosis: Any = SimpleNamespace(believed=(), effects=(DAMPING,), calibration=())
+    diagnosis = Diagnosis((DAMPING,), (), 1, 1.0)
     export_diagnosis(diagnosis, SimpleNamespace(parameters=()), tmp_path, lambda found: failed)  # type: ignore[arg-type]
     (row,) = json.loads((tmp_path / "parameters.json").read_text())
     assert "not in the model, see the notes of mended.json" in row["origin"]

@@ -119,6 +119,7 @@ def make_diagnosis(folder: Path) -> Path:
         for n, s in (("torso", 9.0), ("leg", -3.5), ("arm", 1e-7))
     ]
     result = {"verdict": "effect", "dataset": "d", "where": "joint knee", "effects": [effect], "ranking": rows}
+    result["misfit"] = None
     result |= {"believed": [{"name": n, "before": v} for n, v in (("a", -0.5), ("b", 10.0), ("c", 2.0))]}
     write_json(folder / "result.json", result | {"sentence": verdict_sentence(result)})
     ends = np.radians([(-36, 49), (0, 1.01), (19.9, 81), (-1e-3, 9e3)])

@@ -23,6 +23,7 @@ from btr_mjx.gap.effects.library import (
     selected_effects,
 )
 from btr_mjx.gap.effects.links import link_of
+from btr_mjx.gap.effects.mass import MassProperties, rotation_matrix
 from btr_mjx.gap.effects.per_member import EACH_MEMBER, per_member
 from btr_mjx.gap.effects.places import (
     WORLD,
@@ -54,6 +55,7 @@ __all__ = [
     "Hypothesis",
     "LawState",
     "LawTerm",
+    "MassProperties",
     "Parameter",
     "Place",
     "ResidualTable",
@@ -76,5 +78,6 @@ __all__ = [
     "link_of",
     "of_forces",
     "per_member",
+    "rotation_matrix",
     "selected_effects",
 ]

@@ -55,7 +55,7 @@ def propose(
       that the robot survives is expected to separate them by `LEAST_MARGIN`.
     """
     survivors = diagnosis.survivors[:3]
-    if len(survivors) < 2 or not dataset.model.nu:
+    if len(survivors) < 2 or not dataset.model.nu or diagnosis.windows is None or diagnosis.sigma is None:
         return None
     rng = np.random.default_rng(seed)
     commands = [
@@ -65,8 +65,8 @@ def propose(
     ]
     if not commands:
         return None
-    span = diagnosis.windows[3]
-    found = [expected_margins(survivors, dataset, command, diagnosis.sigma, span, counter) for command in commands]
+    span, sigma = diagnosis.windows[3], diagnosis.sigma
+    found = [expected_margins(survivors, dataset, command, sigma, span, counter) for command in commands]
     # A command is rated by the pair that it separates least.
     values = np.array([min(pairs.values()) for pairs in found])
     best = int(np.argmax(values))

@@ -3,11 +3,17 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from btr_mjx.gap.effects import Candidate
 from btr_mjx.gap.fitness_only.trials import TrialSimulator
-from btr_mjx.gap.results import Diagnosis, DisagreementMap, Estimate, Gap, NamedEffect, RankedCandidate
+from btr_mjx.gap.results import (
+    DELTA_FITNESS,
+    Diagnosis,
+    Estimate,
+    JointError,
+    NamedEffect,
+    RankedCandidate,
+    format_number,
+)
 from btr_mjx.gap.simulate import World
 
 LEAST_REDUCTION = 0.25
@@ -51,48 +57,38 @@ def as_diagnosis(
     believed model on the trials to fit and on the held-out ones, `floor` is the change of the fitness by half the time
     step [m/s].
     """
-    nan, table = float("nan"), trials.table
+    table = trials.table
     rows = []
-    for t, held_out in zip((*refined, *rest), (*ends, *[nan] * len(rest)), strict=True):
+    for t, held_out in zip((*refined, *rest), (*ends, *[None] * len(rest)), strict=True):
         numbers = {p.name: v for p, v in zip(t.candidate.parameters, t.values, strict=True)}
         gain, effect, place = believed[0] - t.delta, t.candidate.effect.name, t.candidate.place.label
         score, margin = 100 * gain / believed[0], 100 * (t.delta - refined[0].delta) / believed[0]
-        rows.append(RankedCandidate(effect, place, score, margin, gain, believed[1] - held_out, numbers))
-    first, row, held_out = refined[0], rows[0], ends[0]
-    named = min(1 - first.delta / believed[0], 1 - held_out / believed[1]) >= LEAST_REDUCTION
+        fall = None if held_out is None else believed[1] - held_out
+        rows.append(RankedCandidate(effect, place, score, margin, gain, fall, numbers))
+    first, row, left = refined[0], rows[0], ends[0]
+    named = min(1 - first.delta / believed[0], 1 - left / believed[1]) >= LEAST_REDUCTION
     close = tuple(t.candidate.name for t in refined if t.delta <= first.delta + _CLOSE * (believed[0] - first.delta))
     effects: tuple[NamedEffect, ...] = ()
     if named:
         estimates = {
-            p.name: Estimate(row.parameters[p.name], nan, nan, p.unit, p.null) for p in first.candidate.parameters
+            p.name: Estimate(row.parameters[p.name], None, None, p.unit, p.null) for p in first.candidate.parameters
         }
         same = tuple(name for name in close if name != first.candidate.name)
         about = (first.candidate.effect.excited_by, first.candidate.effect.equation)
         effects = (NamedEffect(row.effect, row.location, estimates, row.score, row.held_out, same, *about),)
-    gap = Gap(believed[1], held_out if named else believed[1], floor, floor, nan, nan, nan, nan)
     notes = (
-        "Only fitness was known: scores are per cent of Delta_fitness, the gap is Delta_fitness on held-out trials "
-        "[m/s], its noise floor what half the time step changes. Fitness alone does not give intervals, and something "
-        "outside the library looks like nothing.",
+        "Only fitness was known: scores are per cent of Delta_fitness on the trials to fit. Half the time step changes "
+        f"fitness by {format_number(floor)} m/s. Fitness alone does not give intervals, and something outside the "
+        "library looks like nothing.",
     )
     return Diagnosis(
-        verdict="effect" if named else "none",
-        effects=effects,
+        found=effects,
         ranking=tuple(rows),
-        equivalent=close if named else (),
-        gap=gap,
-        disagreement=DisagreementMap((), (), np.zeros((0, 0)), np.zeros((0, 0), int)),
-        unexplained=(),
-        believed=(),
-        confounds=(),
-        overlays=(),
-        share=nan,
-        lack_of_fit=(nan, nan),
-        threshold=100 * LEAST_REDUCTION,
-        dispersion=1.0,
-        sigma=np.zeros(0),
-        windows=(int((~table.test).sum()), int(table.test.sum()), 1, table.duration),
         steps=trials.counter.steps,
         seconds=seconds,
+        joint_errors=(JointError(DELTA_FITNESS, "m/s", table.duration, believed[1], left if named else None),),
+        equivalent=close if named else (),
+        threshold=100 * LEAST_REDUCTION,
+        windows=(int((~table.test).sum()), int(table.test.sum()), 1, table.duration),
         notes=notes,
     )

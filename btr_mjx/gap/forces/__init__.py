@@ -8,7 +8,14 @@ sample to the next is linearised around measured states (`motion`), a Kalman fil
 """
 
 from btr_mjx.gap.forces.identify import PreparedForces, identify_forces, prepare_forces, search_forces
-from btr_mjx.gap.forces.predictions import horizon_errors, joint_errors, predictions, predicts_worse
+from btr_mjx.gap.forces.predictions import (
+    horizon_errors,
+    joint_errors,
+    noise_errors,
+    predicts_better,
+    predicts_worse,
+    step_errors,
+)
 from btr_mjx.gap.forces.sets.carried import Carried, carried_of
 from btr_mjx.gap.forces.sets.changes import Changes, check_same_robot, identify_changes
 
@@ -22,8 +29,10 @@ __all__ = [
     "identify_changes",
     "identify_forces",
     "joint_errors",
-    "predictions",
+    "noise_errors",
+    "predicts_better",
     "predicts_worse",
     "prepare_forces",
     "search_forces",
+    "step_errors",
 ]

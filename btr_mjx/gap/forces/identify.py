@@ -144,7 +144,7 @@ def identify_forces(
     progress("residual")
     first, last = found.chain[0].point, found.chain[-1]
     # Beside the model that is written: without names, calibration is left out as well.
-    beside = last.point if diagnosis.effects else Point(first.base, (), np.zeros_like(first.calibration))
+    beside = last.point if diagnosis.found else Point(first.base, (), np.zeros_like(first.calibration))
     return with_tables_told(diagnosis, fit_residual(found.side, found.test, beside, last.variances))
 
 

@@ -1,16 +1,17 @@
 """Predictions over a horizon, by which hypotheses are compared where noise does not hide the difference."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
 from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.horizons import FOLLOWS, SAMPLES, cut_horizons, motion_size, position_errors, steady_errors
-from btr_mjx.gap.results import JointError, Predictions
+from btr_mjx.gap.results import JointError
 from btr_mjx.gap.simulate import Counter
-from btr_mjx.gap.windows import PreparedData
-from btr_mjx.models import part_names
+from btr_mjx.gap.windows import PreparedData, track_of
+from btr_mjx.models import integrate, part_names
 
 HORIZON = 0.25
 """Time over which predictions are compared and told [s]."""
@@ -22,6 +23,9 @@ holds it still predicts a quarter of a second well."""
 RELATIVE_ERROR = 0.1
 """Part by which simulations err: smaller differences tell nothing, and a further effect has to explain more than its
 square of what the others do."""
+
+_SEED = 0
+"""Of the noise that is added."""
 
 
 def predicts_better(before: np.ndarray, after: np.ndarray, steady: np.ndarray) -> bool | None:
@@ -113,23 +117,63 @@ def horizon_errors(
     return found, steady
 
 
-def predictions(errors: Sequence[np.ndarray], steady: np.ndarray) -> Predictions:
-    """What is told of predictions.
+def noise_errors(data: PreparedData, make: Hypothesis, counter: Counter | None = None) -> np.ndarray:
+    """Mean square errors (W, nv) that the sensors' noise alone makes in the same predictions.
+
+    It is by how much they change where noise of the sensors' size is added once more: to the measured states in which
+    they start, and to those with which they are compared.
 
     Args:
-      errors: (W, nv) mean square errors of the believed and of the mended model.
-      steady: those of constant velocity.
+      data: recordings.
+      make: a hypothesis that follows them.
+      counter: adds up the simulated steps.
+
+    Returns:
+      The mean squares; NaN for what is not measured.
     """
-    return Predictions(HORIZON, *(float(np.sqrt(np.mean(own))) for own in (*errors, steady)))
+    rng, nv = np.random.default_rng(_SEED), data.recordings[0].model.nv
+    size = np.nan_to_num(data.sigma)
+    noisy = []
+    for recording in data.recordings:
+        error = size * rng.normal(size=(len(recording.time), 2 * nv))
+        qpos = integrate(recording.model, recording.qpos, error[:, :nv])
+        noisy.append(replace(recording, qpos=qpos, qvel=recording.qvel + error[:, nv:]))
+    again = replace(data, recordings=tuple(noisy), tracks=tuple(map(track_of, noisy)))
+    first, second = (position_errors(cut_horizons(own, HORIZON, SAMPLES), [make], counter)[0] for own in (data, again))
+    change = np.concatenate([((b - a) ** 2).mean(1) for a, b in zip(first, second, strict=True)])
+    return np.where(np.isfinite(data.sigma[:nv]), change, np.nan)
 
 
-def joint_errors(model: mujoco.MjModel, errors: Sequence[np.ndarray], sigma: np.ndarray) -> tuple[JointError, ...]:
-    """The same by joint, each in its own unit.
+def step_errors(data: PreparedData, make: Hypothesis, counter: Counter | None = None) -> np.ndarray:
+    """Mean square errors (W, nv) that the time step of the model alone makes in the same predictions.
+
+    It is twice the difference to half the time step, as for an integrator of first order.
+
+    Args:
+      data: recordings.
+      make: a hypothesis that follows them.
+      counter: adds up the simulated steps.
+    """
+    trial = cut_horizons(data, HORIZON, SAMPLES)
+    whole, half = (position_errors(trial, [make], counter, factor)[0] for factor in (1.0, 0.5))
+    return np.concatenate([((2 * (b - a)) ** 2).mean(1) for a, b in zip(whole, half, strict=True)])
+
+
+def joint_errors(
+    model: mujoco.MjModel,
+    before: np.ndarray,
+    after: np.ndarray | None,
+    floor: tuple[np.ndarray, np.ndarray],
+    steady: np.ndarray,
+) -> tuple[JointError, ...]:
+    """Errors of predictions by joint, each in its own unit; nothing of joints that are not measured.
 
     Args:
       model: the model.
-      errors: (W, nv) mean square errors of the believed and of the mended model.
-      sigma: (2 nv,) noise of positions and velocities.
+      before: (W, nv) mean square errors of the believed model.
+      after: of the mended one; None where there is none.
+      floor: what noise alone and the time step alone make, see `noise_errors` and `step_errors`.
+      steady: of constant velocity.
     """
     joints, bodies = part_names(model, "joint"), part_names(model, "body")
     dofs: dict[tuple[str, str], list[int]] = {}
@@ -140,12 +184,15 @@ def joint_errors(model: mujoco.MjModel, errors: Sequence[np.ndarray], sigma: np.
         if kind == mujoco.mjtJoint.mjJNT_FREE:
             name, unit = (f"position of body {body}", "m") if is_shift else (f"orientation of body {body}", "rad")
         dofs.setdefault((name, unit), []).append(dof)
-    every = (*(np.mean(own, axis=0) for own in errors), np.asarray(sigma[: model.nv]) ** 2)
-    rows = [
-        JointError(name, unit, HORIZON, *(float(np.sqrt(np.mean(own[at]))) for own in every))
-        for (name, unit), at in dofs.items()
-    ]
-    return tuple(row for row in rows if np.isfinite([row.before, row.after, row.noise]).all())
+    every = [None if own is None else own.mean(0) for own in (before, after, *floor, steady)]
+    out = []
+    for (name, unit), at in dofs.items():
+        row = [None if own is None else float(np.sqrt(own[at].mean())) for own in every]
+        if all(value is None or np.isfinite(value) for value in row):
+            first, *rest = row
+            assert first is not None
+            out.append(JointError(name, unit, HORIZON, first, *rest))
+    return tuple(out)
 
 
 def predicts_well(believed: np.ndarray, mended: np.ndarray, steady: np.ndarray) -> bool:

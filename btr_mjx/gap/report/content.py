@@ -9,7 +9,9 @@ import numpy as np
 from btr_mjx.gap.data import listed
 from btr_mjx.gap.report.tables import (
     as_table,
+    calibration_table,
     candidate_sections,
+    change_table,
     disagreement_tables,
     effect_table,
     joint_error_table,
@@ -17,6 +19,8 @@ from btr_mjx.gap.report.tables import (
     table_over_sets,
 )
 from btr_mjx.gap.results import (
+    Levels,
+    as_float,
     detail_sentences,
     effect_at_place,
     effect_title,
@@ -24,6 +28,8 @@ from btr_mjx.gap.results import (
     format_number,
     hypothesis_in_words,
     in_reading_unit,
+    mended_in_words,
+    misfit_in_words,
     parameters_in_words,
     place_in_words,
 )
@@ -64,11 +70,12 @@ def report_sections(folder: Path, result: Mapping[str, Any], figures: Mapping[st
     return [
         Section("", detail_sentences(result)),
         Section("What has changed" if before else "What is missing", tables=effect_table(result)),
+        Section("Calibration that is off", tables=calibration_table(result)),
         Section("Before", _before(before) if before else []),
         Section("Numbers over the sets of recordings", figures=shown("sets"), tables=table_over_sets(folder)),
         Section("Errors of predictions by joint", tables=joint_error_table(result)),
         Section(
-            f"{'Before and after, on recordings' if effects else 'Recordings'} that were not fitted",
+            f"{'Before and after, on recordings' if result.get('mended') else 'Recordings'} that were not fitted",
             **_overlays(folder, result),
         ),
         *_preflight(folder),
@@ -97,8 +104,7 @@ def _overlays(folder: Path, result: Mapping[str, Any]) -> dict[str, Any]:
     if not stretches:
         return {}
     same = all(np.array_equal(data[f"before_{n}"], data[f"after_{n}"]) for n in range(len(stretches)))
-    second = "mended model" if result.get("verdict") != "unexplained" else "best candidate"
-    labels = {"measured": "measured", "before": "believed model"} | ({} if same else {"after": second})
+    labels = {"measured": "measured", "before": "believed model"} | ({} if same else {"after": "mended model"})
     curves = []
     for n, (recording, name, unit) in enumerate(stretches):
         every = -(-len(data[f"time_{n}"]) // _SAMPLES)
@@ -135,25 +141,22 @@ def _preflight(folder: Path) -> list[Section]:
     ]
 
 
-def gap_numbers(gap: Mapping[str, Any], mended: bool, joints: bool) -> list[tuple[str, str]]:
-    """Figures under the verdict; with errors by joint there is no mean over radians and metres."""
-    loop = str(gap.get("open_loop_unit", "rad"))
-    unit = f" [{gap['unit']}]" if gap.get("unit") else ""
-    chi2 = str(gap.get("unit") or "").startswith("χ²")
-    held_out = "held-out misfit (1 = noise)" if chi2 else "held-out gap"
-    rows = (
-        (f"open-loop error{' before' if mended else ''}", "open_loop_before", loop),
-        ("after", "open_loop_after" if mended else "", loop),
-        ("noise alone", "open_loop_noise" if is_json_number(gap.get("open_loop_before")) else "", loop),
-        (f"{held_out}{' before' if mended else ''}{'' if chi2 else unit}", "before", ""),
-        ("after", "after" if mended else "", ""),
-        ("noise floor", "noise_floor", ""),
-    )
-    return [
-        (label, error_in_words(gap[key], of, 3).strip())
-        for label, key, of in rows
-        if is_json_number(gap.get(key)) and not ("and" in of and joints)
-    ]
+def headline_numbers(result: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Figures under the verdict, as the sentences have them; a mean over radians and metres is none."""
+    levels, loop = Levels.of(result), result.get("open_loop") or {}
+    rows = []
+    if levels.unit == "noise":
+        many = (("misfit, believed model", levels.before), ("mended model", levels.after))
+        rows += [(name, misfit_in_words(value)) for name, value in many if value is not None]
+        rows += [("noise and time step", "1")]
+    elif levels.before is not None:
+        two = (("held-out Delta_fitness", levels.before), ("after", levels.after))
+        rows += [(name, error_in_words(value, levels.unit)) for name, value in two if value is not None]
+    if "and" not in str(loop.get("unit")):
+        ends = [("open-loop error, believed model", "before"), ("mended model", "after")]
+        known = [(name, as_float(loop.get(key))) for name, key in ends]
+        rows += [(name, error_in_words(value, str(loop["unit"]))) for name, value in known if value is not None]
+    return rows
 
 
 def is_json_number(value: Any) -> bool:
@@ -185,11 +188,12 @@ def _mended(folder: Path, result: Mapping[str, Any]) -> list[Section]:
     path = folder / "mended.xml"
     saved = read_json(folder / "mended.json") if (folder / "mended.json").is_file() else {}
     terms, changes = saved.get("terms", []), saved.get("changes", [])
-    named = {f"{e['effect']}@{e['location']}" for e in result.get("effects") or []}
-    inside = [hypothesis_in_words(name) for name in saved.get("native", []) if name in named]
+    found = [*(result.get("effects") or []), *(result.get("unnamed") or [])]
+    own = {f"{e['effect']}@{e['location']}" for e in found}
+    inside = [hypothesis_in_words(name) for name in saved.get("native", []) if name in own]
     inside += ["calibration"] if result.get("calibration") else []
     lines = [
-        f"{path} is the believed model with what was found; plain MuJoCo loads it."
+        f"{path} is {mended_in_words(result) or 'the believed model with what was found'}; plain MuJoCo loads it."
         + (f" It contains {' and '.join(inside)}." if inside else ""),
         *saved.get("notes", []),
         *_between(result.get("interpolation") or {}),
@@ -203,8 +207,7 @@ def _mended(folder: Path, result: Mapping[str, Any]) -> list[Section]:
         "Effects without a term in MJCF are in mended.json; the code below adds them to a simulation." if terms else "",
     ]
     more = f"And {len(changes) - _CHANGES} more, listed in mended.json." if len(changes) > _CHANGES else ""
-    keys = ("part", "field", "believed", "mended")
-    tables = as_table([{key: change[key] for key in keys} for change in changes[:_CHANGES]], more)
+    tables = change_table(changes[:_CHANGES], more)
     rows = [[effect_title(t["effect"]), place_in_words(t["location"]), t.get("equation", "")] for t in terms]
     tables += [Table(["effect without a term in MJCF", "place", "equation"], rows)] if rows else []
     code = _CODE if terms else f'model = mujoco.MjModel.from_xml_path("{path}")'

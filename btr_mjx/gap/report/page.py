@@ -2,8 +2,8 @@
 
 Files of a diagnosis folder, of which all but the first may be missing:
 
-- result.json: verdict, effects, ranking, equivalent, gap, joint_errors, next_experiment and other entries;
-- disagreement.npz: `rows` (R,), `columns` (C,), `before` (R, C) and optionally `after` (R, C) in units of the noise;
+- result.json: verdict, effects, ranking, equivalent, misfit, joint_errors, next_experiment and other entries;
+- disagreement.npz: `rows` (R,), `units` (R,), `columns` (C,), `before` (R, C) and optionally `after` (R, C) [N or N m];
 - overlays.npz: `recordings`, `names`, `units` (N,), for each n `time_n`, `measured_n`, `before_n`, `after_n` (K,);
 - joint_forces.npz: `joints`, `units`, `follows` (J,), for each n `position_n`, `velocity_n`, `load_n`, `time_n`,
   `before_n`, `after_n`, `law_n`, `spread_n` (N,);
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from btr_mjx.errors import InputError
-from btr_mjx.gap.report.content import gap_numbers, report_sections, spent
+from btr_mjx.gap.report.content import headline_numbers, report_sections, spent
 from btr_mjx.gap.results import verdict_sentence
 from btr_mjx.pages import Figure, embedded, write_page
 from btr_mjx.plotting import save_figure
@@ -38,18 +38,20 @@ def draw_report(folder: str | Path) -> Path:
       The page; figures that fail are left out, which one line each on stderr says.
 
     Raises:
-      InputError: the folder holds no diagnosis.
+      InputError: the folder holds no diagnosis, or one of an earlier version.
       OSError: it cannot be written to.
     """
     folder = Path(folder)
     if not (folder / "result.json").is_file():
         raise InputError(f"{folder}: no result.json there; expected the folder of a diagnosis")
     result = read_json(folder / "result.json")
+    if "misfit" not in result:
+        raise InputError(f"{folder}: its result.json has no `misfit`: it is of an earlier version; diagnose again")
     variables = {
         "heading": "What has changed" if result.get("before") else "Simulation against data",
         "name": str(result.get("dataset") or folder.name),
         "sentence": verdict_sentence(result),
-        "numbers": gap_numbers(result.get("gap") or {}, bool(result.get("effects")), bool(result.get("joint_errors"))),
+        "numbers": headline_numbers(result),
         "sections": report_sections(folder, result, _figures(folder, result)),
         "footer": [*spent(result), "Numbers: result.json. Figures: figures/. Tables: *.csv, *.npz."],
     }
@@ -77,7 +79,7 @@ def _wanted(folder: Path, result: Mapping[str, Any]) -> dict[str, tuple[Callable
         out["sets"] = make, "Numbers over the sets of recordings", caption
     if (folder / "joint_forces.npz").is_file():
         joints = figures.force_data(read_arrays(folder / "joint_forces.npz"))
-        is_mended = bool(result.get("effects"))
+        is_mended = bool(result.get("effects") or result.get("unnamed"))
         caption = "Force that the believed model lacks along the recordings that were fitted"
         caption += ", and force that is left beside the mended model" if is_mended else ""
         caption += "; orange: the law that was named, with its 90 % band." if any(j.law.any() for j in joints) else "."

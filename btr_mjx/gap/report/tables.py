@@ -7,15 +7,26 @@ from typing import Any
 from btr_mjx.gap.effects import EACH_MEMBER
 from btr_mjx.gap.results import (
     REASON_NOT_NAMED,
+    SCALE,
+    as_float,
     effect_at_place,
     effect_title,
+    enumerated,
     estimate_cells,
     format_number,
+    hypotheses_of,
     hypothesis_in_words,
     in_percent,
     in_reading_unit,
+    joint_rows,
+    misfit_in_words,
+    off_calibration,
     parameter_in_words,
     place_in_words,
+    quantity_at_place,
+    score_in_words,
+    size_in_words,
+    times_noise,
     unit_in_words,
 )
 from btr_mjx.pages import Section, Table
@@ -55,20 +66,43 @@ def table_over_sets(folder: Path) -> list[Table]:
     return as_table(rows, note)
 
 
+def calibration_table(result: Mapping[str, Any]) -> list[Table]:
+    """Calibration that is farther off than robots usually are."""
+    rows = [
+        [quantity_at_place(row), size_in_words(row), format_number(row["tolerances"], 2)]
+        for row in off_calibration(result)
+    ]
+    note = "The model's numbers are off by so much more than calibration usually leaves: a finding about the model."
+    return [Table(["number", "off by", "times its tolerance"], rows, note)] if rows else []
+
+
 def joint_error_table(result: Mapping[str, Any]) -> list[Table]:
-    """Errors of predictions in degrees or millimetres."""
-    found = result.get("joint_errors") or []
+    """Errors of predictions in degrees or millimetres, and the same in units of what noise makes."""
+    found = [row for row in joint_rows(result) if row.get("noise")]
     if not found:
         return []
-    keys = ("before", "after", "noise") if result.get("effects") or result.get("calibration") else ("before", "noise")
-    rows = [
-        (row["joint"], *(in_reading_unit(float(row[key]), row["unit"])[0] for key in keys), reading_unit(row["unit"]))
-        for row in found
-    ]
-    names = {"before": "believed model", "after": "mended model", "noise": "noise alone"}
+    names = {
+        "before": "believed",
+        "after": "mended",
+        "constant_velocity": "constant velocity",
+        "noise": "noise",
+        "time_step": "time step",
+        "floor": "both",
+    }
+    keys = [key for key in names if all(row.get(key) is not None for row in found)]
+    models = [key for key in keys if key in ("before", "after")]
+    rows = []
+    for row in found:
+        errors = [format_number(float(in_reading_unit(float(row[key]), row["unit"])[0])) for key in keys]
+        ratios = [misfit_in_words(times_noise(row, key)) for key in models]
+        rows.append([row["joint"], *errors, reading_unit(row["unit"]), *ratios])
+    columns = ["joint", *(names[key] for key in keys), "unit", *(f"misfit {names[key]}" for key in models)]
     ahead = f"{found[0]['horizon']:g} s after a measured state"
-    note = f"Root mean square error of positions of held-out recordings, {ahead}."
-    return [Table(["joint", *(names[key] for key in keys), "unit"], rows, note)]
+    note = (
+        f"Root mean square error of positions of held-out recordings, {ahead}, and what noise alone, the time step "
+        f"alone, and both make of it. Misfit: the error in units of both ({SCALE})."
+    )
+    return [Table(columns, rows, note)]
 
 
 def reading_unit(unit: str) -> str:
@@ -77,18 +111,21 @@ def reading_unit(unit: str) -> str:
 
 
 def disagreement_tables(folder: Path) -> list[Table]:
-    """The map of disagreement by part and regime, before and after."""
+    """The force that is missing by part and regime, before and after."""
     if not (folder / "disagreement.npz").is_file():
         return []
     data = read_arrays(folder / "disagreement.npz")
     note = (
-        "Mean square of the force that would make the {} model follow the data, in units of the value that noise alone "
-        "would give: 1 is the noise floor, – marks a regime without data."
+        "Root mean square of the force that would make the {} model follow the recordings that were fitted; – marks a "
+        "regime without data."
     )
     return [
         Table(
-            ["part", *map(str, data["columns"])],
-            [(str(part), *map(_two_digits, row)) for part, row in zip(data["rows"], data[key], strict=True)],
+            ["part", *map(str, data["columns"]), "unit"],
+            [
+                (str(part), *map(format_number, row), str(unit))
+                for part, row, unit in zip(data["rows"], data[key], data["units"], strict=True)
+            ],
             note.format(model),
         )
         for key, model in (("before", "believed"), ("after", "mended"))
@@ -96,8 +133,14 @@ def disagreement_tables(folder: Path) -> list[Table]:
     ]
 
 
-def _two_digits(value: float) -> float:
-    return float(f"{value:.2g}")
+def change_table(changes: Sequence[Mapping[str, Any]], more: str) -> list[Table]:
+    """Numbers that the mended model has instead of those of the believed one."""
+    rows = []
+    for one in changes:
+        change = "new" if one["percent"] is None else f"{format_number(one['percent'])} %"
+        values = [format_number(one[key]) for key in ("believed", "mended")]
+        rows.append([one["what"], *values, unit_in_words(one["unit"]), change])
+    return [Table(["number", "believed", "mended", "unit", "change"], rows, more)] if rows else []
 
 
 def candidate_sections(result: Mapping[str, Any]) -> list[Section]:
@@ -105,20 +148,26 @@ def candidate_sections(result: Mapping[str, Any]) -> list[Section]:
     ranking, given, effects = (result.get(key) or [] for key in ("ranking", "equivalent", "effects"))
     if not ranking:
         return []
-    found = {(one["effect"], one["location"]) for one in effects}
-    rows = []
-    for row in ranking:
-        is_named = (row["effect"], row["location"]) in found
+    rows, found = [], {(one["effect"], one["location"]) for one in effects}
+    alone = [row for row in ranking if not row.get("beside")]
+    top = max((as_float(row["score"]) or 0.0 for row in alone), default=0.0)
+    for many in hypotheses_of(ranking):
+        row = many[0]
+        is_named = any((one["effect"], one["location"]) in found for one in many)
         word = "named" if is_named else "alike" if row.get("equivalent") else ""
         beside = hypothesis_in_words(" + ".join(row.get("beside") or []))
-        given_numbers = [row.get(key) for key in ("score", "margin", "held_out")]
-        numbers = [None if value == "NaN" else value for value in given_numbers]
-        rows.append([effect_title(row["effect"]), place_in_words(row["location"]), *numbers, word, beside])
-    names = ("effect", "place", "score", "behind the first", "held-out gain", "note", "beside")
+        places = dict.fromkeys(place_in_words(one["location"]) for one in many)
+        titles = enumerated([effect_title(one["effect"]) for one in many])
+        held_out = as_float(row.get("held_out"))
+        share = score_in_words(row.get("score"), top)
+        shown = None if held_out is None else score_in_words(held_out, top)
+        rows.append([titles, ", ".join(places), share, shown, word, beside])
+    names = ("effect", "place", "score [%]", "held-out gain [%]", "note", "beside")
     alike = "these data cannot distinguish it from the named one" if effects else REASON_NOT_NAMED
-    note = f"Score: fall of the misfit (χ²), less a price for the effect's parameters. Alike: {alike}."
-    if threshold := result.get("threshold"):
-        note += f" A name needs a score of {format_number(threshold)} at least."
+    note = (
+        "Score: fall of χ² by the effect, less a price for its numbers, in per cent of the best one's. Effects in one "
+        f"row were tried together and have one score. Alike: {alike}."
+    )
     first = [row for row in ranking if not row.get("beside")]
     if len(effects) == 1 and any(row["score"] > first[0]["score"] for row in first):
         note += (

@@ -7,7 +7,14 @@ from typing import Any
 
 from btr_mjx.gap.preflight import Finding
 from btr_mjx.gap.report.content import is_json_number
-from btr_mjx.gap.results import effect_at_place, effect_title, place_in_words
+from btr_mjx.gap.results import (
+    as_float,
+    effect_title,
+    hypotheses_of,
+    place_in_words,
+    score_in_words,
+    together_in_words,
+)
 from btr_mjx.pages import PAGE
 
 
@@ -40,16 +47,20 @@ def print_result(result: Mapping[str, Any], folder: Path, page: bool = True) -> 
       page: whether its page is there, or drawn next.
     """
     print(textwrap.fill(str(result["sentence"]), 110))
-    rows = [row for row in result["ranking"] if not row["beside"]][:6]
-    confirmed = any(is_json_number(row["held_out"]) for row in rows)
-    width = max((len(effect_at_place(row)) for row in rows), default=0)
+    alone = [row for row in result["ranking"] if not row["beside"]]
+    top = max((as_float(row["score"]) or 0.0 for row in alone), default=0.0)
+    rows = hypotheses_of(alone)[:6]
+    confirmed = any(is_json_number(many[0]["held_out"]) for many in rows)
+    names = [textwrap.wrap(together_in_words(many), 80) for many in rows]
+    width = max((len(line) for lines in names for line in lines), default=0)
     if rows:
-        print(f"\n{'candidate':{width}}{'score':>12}{'held-out gain' if confirmed else '':>16}".rstrip())
+        print(f"\n{'candidate':{width}}{'score [%]':>12}{'held-out gain [%]' if confirmed else '':>20}".rstrip())
         held_out = "; held-out gain: on data that were not used" if confirmed else ""
-        print(f"(score: gain over the believed model, twice the log-likelihood{held_out})")
-    for row in rows:
-        held = f"{row['held_out']:16.1f}" if is_json_number(row["held_out"]) else ""
-        print(f"{effect_at_place(row):{width}}{row['score']:12.1f}{held}")
+        print(f"(score: gain over the believed model, in per cent of the best{held_out})")
+    for many, lines in zip(rows, names, strict=True):
+        held = f"{score_in_words(many[0]['held_out'], top):>20}" if is_json_number(many[0]["held_out"]) else ""
+        print(f"{lines[0]:{width}}{score_in_words(many[0]['score'], top):>12}{held}")
+        print("".join(f"  {line}\n" for line in lines[1:]), end="")
     if rows and result.get("details"):
         print()
     for line in result.get("details") or []:

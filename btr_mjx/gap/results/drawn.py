@@ -1,6 +1,5 @@
 """What is drawn beside the verdict: where simulation and data disagree, overlays, missing forces; and their arrays."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -60,20 +59,87 @@ class JointForce:
 
 @dataclass(frozen=True)
 class DisagreementMap:
-    """Where simulation and data disagree before any fit.
+    """The generalised force that a model lacks, by place and regime.
 
     Attributes:
-      places: joints, and bodies with a free joint.
+      places: joints, and bodies with a free joint, whose force and torque are apart.
+      units: of the force at each.
       regimes: kinds of motion, such as "fast" or "contact".
-      value: (places, regimes) mean square of the unknown generalised force there in units of what noise would give; 1
-        is the noise floor, NaN where the regime does not occur.
+      before: (places, regimes) root mean square of the force that the believed model lacks [N or N m]; NaN where the
+        regime does not occur.
+      after: of the mended one; None where there is none, or its force is not known.
+      relative: (places, regimes) mean square of the believed model's in units of the variance that it is expected to
+        have, by which places with different units are compared.
       count: (places, regimes) number of time intervals of each mean.
     """
 
     places: tuple[str, ...]
+    units: tuple[str, ...]
     regimes: tuple[str, ...]
-    value: np.ndarray
+    before: np.ndarray
+    after: np.ndarray | None
+    relative: np.ndarray
     count: np.ndarray
+
+    def size_at(self, place: str) -> float:
+        """Root mean square of the force that is left at a place, over all regimes."""
+        left = self.before if self.after is None else self.after
+        return float(left[self.places.index(place), self.regimes.index("all")])
+
+
+def force_places(model: mujoco.MjModel) -> list[tuple[str, str]]:
+    """Place and unit of the generalised force of every degree of freedom (nv,), such as ("joint:knee", "N m")."""
+    joints, bodies, out = part_names(model, "joint"), part_names(model, "body"), list[tuple[str, str]]()
+    for dof, joint in enumerate(model.dof_jntid):
+        kind = model.jnt_type[joint]
+        if kind == mujoco.mjtJoint.mjJNT_FREE:
+            is_force = dof - model.jnt_dofadr[joint] < 3
+            what, unit = ("force", "N") if is_force else ("torque", "N m")
+            out.append((f"body:{bodies[model.jnt_bodyid[joint]]}, {what}", unit))
+        else:
+            out.append((f"joint:{joints[joint]}", "N" if kind == mujoco.mjtJoint.mjJNT_SLIDE else "N m"))
+    return out
+
+
+def mean_map(
+    model: mujoco.MjModel,
+    masks: Mapping[str, np.ndarray],
+    before: np.ndarray,
+    after: np.ndarray | None,
+    relative: np.ndarray,
+    noise: np.ndarray | float = 0.0,
+) -> DisagreementMap:
+    """Means of missing forces over regimes.
+
+    Args:
+      model: the believed model.
+      masks: by regime which intervals (N, K, nv) are of it.
+      before: (N, K, nv) force that the believed model lacks [N or N m].
+      after: of the mended one; None where there is none.
+      relative: (N, K, nv) squared force in units of its expected variance.
+      noise: variance of the forces by noise alone, which is no part of what is missing.
+    """
+    every = force_places(model)
+    places = tuple(dict.fromkeys(every))
+    owns = [np.array([one == place for one in every]) for place in places]
+    shape = len(places), len(masks)
+    square = [None if own is None else own**2 - noise for own in (before, after)]
+    means = [None if own is None else np.full(shape, np.nan) for own in (*square, relative)]
+    count = np.zeros(shape, int)
+    for i, own in enumerate(owns):
+        for j, mask in enumerate(masks.values()):
+            chosen = mask[..., own]
+            count[i, j] = int(chosen.sum())
+            for values, mean in zip((*square, relative), means, strict=True):
+                if count[i, j] and values is not None and mean is not None:
+                    mean[i, j] = float(values[..., own][chosen].mean())
+    first, second, third = means
+    assert first is not None
+    assert third is not None
+    root = [None if one is None else np.sqrt(np.maximum(one, 0.0)) for one in (first, second)]
+    assert root[0] is not None
+    labels, units = (tuple(column) for column in zip(*places, strict=True)) if places else ((), ())
+    return DisagreementMap(labels, units, tuple(masks), root[0], root[1], third, count)
 
 
 _CONTRASTS = (
@@ -87,9 +153,9 @@ _CONTRASTS = (
 def place_of_disagreement(disagreement: DisagreementMap) -> str:
     """The place with the largest disagreement, and the regimes in which it occurs, in words.
 
-    Text such as "joint knee, when it moves fast"; empty where the map has no numbers or all are below 1.5.
+    Text such as "joint knee, when it moves fast"; empty where the map has no numbers or is as expected everywhere.
     """
-    value = np.asarray(disagreement.value, float)
+    value = np.asarray(disagreement.relative, float)
     column = {name: i for i, name in enumerate(disagreement.regimes)}
     overall = value[:, column["all"]] if "all" in column else np.nanmean(value, axis=1) if value.size else value
     if not np.isfinite(overall).any() or np.nanmax(overall) < 1.5:
@@ -99,24 +165,26 @@ def place_of_disagreement(disagreement: DisagreementMap) -> str:
     for more, less, more_in_words, less_in_words in _CONTRASTS:
         if more not in column or less not in column:
             continue
-        # Regimes are compared by their excess over the noise floor, which is 1.
+        # Regimes are compared by their excess over what is expected, which is 1.
         a, b = (max(float(value[row, column[name]]) - 1.0, 0.0) for name in (more, less))
         if a > 2.0 * b + 0.2:
             words.append(more_in_words)
         elif b > 2.0 * a + 0.2:
             words.append(less_in_words)
-    return ", ".join([place_in_words(disagreement.places[row]), *words[:1]]) + "".join(f" {w}" for w in words[1:3])
+    place = place_in_words(disagreement.places[row]).partition(", ")[0]
+    return ", ".join([place, *words[:1]]) + "".join(f" {w}" for w in words[1:3])
 
 
 def map_arrays(disagreement: DisagreementMap) -> dict[str, np.ndarray]:
     """Content of disagreement.npz."""
-    rows = [re.sub(r"^(\w+):", r"\1 ", name) for name in disagreement.places]
-    return {
-        "rows": np.array(rows, dtype=str),
+    arrays = {
+        "rows": np.array([place_in_words(name) for name in disagreement.places], dtype=str),
+        "units": np.array(disagreement.units, dtype=str),
         "columns": np.array(disagreement.regimes, dtype=str),
-        "before": np.asarray(disagreement.value, float),
+        "before": np.asarray(disagreement.before, float),
         "count": np.asarray(disagreement.count),
     }
+    return arrays if disagreement.after is None else arrays | {"after": np.asarray(disagreement.after, float)}
 
 
 def force_arrays(forces: Sequence[JointForce]) -> dict[str, np.ndarray]:

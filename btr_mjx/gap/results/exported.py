@@ -1,6 +1,5 @@
 """Named effects, refitted parameters and calibration for other programs."""
 
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -8,8 +7,9 @@ import mujoco
 
 from btr_mjx.exports import Ends, ExportedParameter, field_ends, is_linear, write_exports
 from btr_mjx.gap.data import Dataset
+from btr_mjx.gap.results.diagnosis import Diagnosis
 from btr_mjx.gap.results.mended_model import MendedModel
-from btr_mjx.gap.results.records import Diagnosis, FoundEffect, NamedEffect
+from btr_mjx.gap.results.records import FoundEffect, NamedEffect
 
 Mend = Callable[[Sequence[FoundEffect]], MendedModel]
 """The believed model with effects, see `mended_model.mend`."""
@@ -24,15 +24,15 @@ def export_diagnosis(diagnosis: Diagnosis, dataset: Dataset, folder: Path, mende
         )
         for refit in diagnosis.believed
     ]
-    every = [(effect, True) for effect in diagnosis.effects] + [(effect, False) for effect in diagnosis.calibration]
-    whole = mended([effect.found() for effect in diagnosis.effects]) if every else MendedModel("")
-    for effect, named in every:
+    names = "named effect" if diagnosis.effects else "unnamed part of a model that predicts better"
+    every = [(effect, names) for effect in diagnosis.found] + [(one, "calibration") for one in diagnosis.calibration]
+    whole = mended([effect.found() for effect in diagnosis.found]) if every else MendedModel("")
+    for effect, what in every:
         also = whole.what_else(effect.name, "mended.json")
         for name, one in effect.parameters.items():
-            # A search by fitness gives no intervals, and calibration is for this robot alone.
-            known = named and math.isfinite(one.low) and math.isfinite(one.high)
-            origin = f"{'named effect' if named else 'calibration'}{'; 90 % interval' if known else ''}{also}"
-            ends = _ends(diagnosis.effects, effect, name, mended) if known else {}
+            known = one.reach is not None
+            origin = f"{what}{'; 90 % interval' if known else ''}{also}"
+            ends = _ends(diagnosis.found, effect, name, mended) if known else {}
             low, high = (one.low, one.high) if known else (None, None)
             exported.append(ExportedParameter(f"{effect.name} {name}", one.unit, one.value, low, high, origin, ends))
     write_exports(folder, exported)
@@ -42,6 +42,8 @@ def _ends(effects: Sequence[NamedEffect], chosen: NamedEffect, parameter: str, m
     """Numbers of the mended model that a parameter moves within its interval; none where MJCF has no such term."""
     estimate = chosen.parameters[parameter]
     models = []
+    assert estimate.low is not None
+    assert estimate.high is not None
     for value in (estimate.low, estimate.high, estimate.value):
         made = mended([one.found(**({parameter: value} if one is chosen else {})) for one in effects])
         if chosen.name not in made.native:

@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 from btr_mjx.gap.effects import TIMING
-from btr_mjx.gap.results.records import Diagnosis, NamedEffect
+from btr_mjx.gap.results.diagnosis import Diagnosis
+from btr_mjx.gap.results.records import NamedEffect
 
 
 def without_late_log(diagnosis: Diagnosis) -> Diagnosis:
@@ -15,16 +16,14 @@ def without_late_log(diagnosis: Diagnosis) -> Diagnosis:
     Returns:
       The same one where none is; of verdict "none" where nothing else was named.
     """
-    late = [effect for effect in diagnosis.effects if _is_of_the_log(effect)]
+    late = [effect for effect in diagnosis.found if _is_of_the_log(effect)]
     if not late:
         return diagnosis
-    named = tuple(effect for effect in diagnosis.effects if effect not in late)
+    found = tuple(effect for effect in diagnosis.found if effect not in late)
     times = [-1e3 * delay.value for effect in late for delay in effect.parameters.values()]
     said = tuple(f"Commands act {time:.3g} ms before the time that is logged: their stamps are late." for time in times)
-    told = replace(diagnosis, effects=named, notes=(*diagnosis.notes, *said))
-    if named or diagnosis.verdict != "effect":
-        return told
-    return replace(told, verdict="none", equivalent=(), confounds=())
+    told = replace(diagnosis, found=found, notes=(*diagnosis.notes, *said))
+    return told if told.verdict == "effect" else replace(told, equivalent=(), confounds=())
 
 
 def _is_of_the_log(effect: NamedEffect) -> bool:

@@ -18,19 +18,21 @@ import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import KNOWN_EFFECTS, RESIDUAL, Effect, Place, ResidualTable, Scales, known_effects
+from btr_mjx.gap.results.changed_numbers import changed_numbers
 from btr_mjx.gap.results.records import FoundEffect
-from btr_mjx.gap.results.transcribe import changed_numbers, normalised, write_changes
+from btr_mjx.gap.results.transcribe import normalised, write_changes
 from btr_mjx.gap.simulate import World, differing_fields
 from btr_mjx.models import nearest_names, set_values
 
 
 def found_effects(result: Mapping[str, Any]) -> list[FoundEffect]:
-    """All that a mended model has: calibration, then named effects.
+    """All that a mended model has: calibration, then effects, named or not.
 
     Args:
       result: content of result.json.
     """
-    return [FoundEffect.from_result(entry) for entry in (*(result.get("calibration") or ()), *result["effects"])]
+    every = [entry for key in ("calibration", "effects", "unnamed") for entry in result.get(key) or ()]
+    return [FoundEffect.from_result(entry) for entry in every]
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class MendedModel:
       terms: the other effects, for JSON: effect, location, parameters, equation, and why MJCF cannot express them.
       native: "effect@location" of the effects that are entirely inside `xml`.
       notes: remarks for the reader, such as fields that could not be written.
-      changes: numbers that differ from the believed model: part, field, and both values.
+      changes: numbers that differ from the believed model, see `changed_numbers`.
     """
 
     xml: str

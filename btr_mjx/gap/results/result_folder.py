@@ -6,23 +6,27 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-import numpy as np
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, driven_joint
 from btr_mjx.gap.effects import KNOWN_EFFECTS, Effect
+from btr_mjx.gap.results.diagnosis import Diagnosis
 from btr_mjx.gap.results.drawn import force_arrays, map_arrays, overlay_arrays, place_of_disagreement
 from btr_mjx.gap.results.exported import export_diagnosis
 from btr_mjx.gap.results.mended_model import MendedModel, acts_through_actuators, mend, with_residual
-from btr_mjx.gap.results.records import Diagnosis, FoundEffect, NamedEffect
+from btr_mjx.gap.results.records import FoundEffect, NamedEffect
 from btr_mjx.gap.results.tables import NextExperiment, name_entry, write_command, write_tables
 from btr_mjx.gap.results.words.details import detail_sentences
+from btr_mjx.gap.results.words.mended import FINER_STEP, MENDED_FILE, header_comment
 from btr_mjx.gap.results.words.verdict import verdict_sentence
 from btr_mjx.models import parse_path, part_names
 from btr_mjx.runs import write_arrays, write_json, write_text
 
 RESULT = "result.json"
 """File name of the result for scripts."""
+
+_WINDOWS = ("fit", "held_out", "samples", "length")
+"""Keys of `Diagnosis.windows` in it."""
 
 
 def save_diagnosis(
@@ -40,8 +44,9 @@ def save_diagnosis(
       diagnosis: the outcome of the search.
       dataset: the dataset that was searched.
       folder: folder for result.json, ranking.csv, disagreement.csv, disagreement.npz, overlays.npz, believed.csv;
-        where the robot touches nothing, joint_forces.npz; where an effect was named, mended.xml, mended.json,
-        parameters.csv, parameters.json and randomisation.json.
+        where the robot touches nothing, joint_forces.npz; where a model predicts better than the believed one,
+        mended.xml, whose first line says what it is, mended.json, parameters.csv, parameters.json and
+        randomisation.json.
       effects: the library that was searched.
       next_experiment: proposal for next_command.csv; None if there is none.
       more: further entries of result.json.
@@ -60,27 +65,20 @@ def save_diagnosis(
     def mended(found: Sequence[FoundEffect]) -> MendedModel:
         return _mend(found, diagnosis, dataset, effects)
 
-    if diagnosis.effects or diagnosis.calibration or diagnosis.residual or dataset.coarse_step is not None:
-        whole = with_residual(mended([effect.found() for effect in diagnosis.effects]), diagnosis.residual)
-        write_text(folder / "mended.xml", whole.xml)
+    if result["mended"]:
+        whole = with_residual(mended([effect.found() for effect in diagnosis.found]), diagnosis.residual)
+        write_text(folder / MENDED_FILE, header_comment(result) + whole.xml)
         write_json(folder / "mended.json", whole.as_json())
-        result["mended"] = "mended.xml"
     result["sentence"], result["details"] = verdict_sentence(result), detail_sentences(result)
     write_tables(result, diagnosis.disagreement, folder)
-    write_arrays(folder / "disagreement.npz", map_arrays(diagnosis.disagreement))
+    if diagnosis.disagreement is not None:
+        write_arrays(folder / "disagreement.npz", map_arrays(diagnosis.disagreement))
     write_arrays(folder / "overlays.npz", overlay_arrays(diagnosis.overlays, dataset.model))
     if diagnosis.joint_forces:
         write_arrays(folder / "joint_forces.npz", force_arrays(diagnosis.joint_forces))
     export_diagnosis(diagnosis, dataset, folder, mended)
     write_json(folder / RESULT, result)
     return result
-
-
-def _mean_noise(diagnosis: Diagnosis, model: mujoco.MjModel) -> float | None:
-    """Mean absolute error that the sensors' noise alone makes in positions; None where it is not known."""
-    sigma = np.asarray(diagnosis.sigma, float)[: model.nv]
-    sigma = sigma[np.isfinite(sigma)]
-    return float(np.sqrt(2 / np.pi) * sigma.mean()) if len(sigma) else None
 
 
 def _position_unit(model: mujoco.MjModel) -> str:
@@ -106,37 +104,34 @@ def as_result(diagnosis: Diagnosis, dataset: Dataset) -> dict[str, Any]:
         asdict(row) | {"equivalent": f"{row.effect}@{row.location}" in close and not row.beside}
         for row in diagnosis.ranking
     ]
-    named = [
-        {key: value for key, value in asdict(effect).items() if key != "latex" or value}
-        | {"equivalent": [name_entry(name) for name in effect.equivalent]}
-        | {"joint": _driven_joint(dataset.model, effect.location)}
-        for effect in diagnosis.effects
-    ]
+    misfit, open_loop = diagnosis.misfit, diagnosis.open_loop
+    kind = diagnosis.mended_kind or (FINER_STEP if dataset.coarse_step is not None else None)
     return {
         "verdict": diagnosis.verdict,
         "dataset": dataset.folder.name or str(dataset.folder),
         "interpolation": {one.name: one.interpolation for one in dataset.recordings},
         "timestep": {"model": dataset.coarse_step or dataset.model.opt.timestep, "search": dataset.model.opt.timestep},
-        "where": place_of_disagreement(diagnosis.disagreement),
-        "effects": named,
+        "where": place_of_disagreement(diagnosis.disagreement) if diagnosis.disagreement else "",
+        "effects": [_named_entry(effect, dataset.model) for effect in diagnosis.effects],
+        "unnamed": [_named_entry(effect, dataset.model) for effect in diagnosis.unnamed],
         "calibration": [_effect_entry(effect) for effect in diagnosis.calibration],
         "ranking": ranking,
         "equivalent": [name_entry(name) for name in diagnosis.equivalent],
-        "gap": asdict(diagnosis.gap)
-        | {"closed": diagnosis.gap.closed, "unit": "χ² per degree of freedom"}
-        | {"open_loop_unit": _position_unit(dataset.model), "open_loop_noise": _mean_noise(diagnosis, dataset.model)},
-        "predictions": asdict(diagnosis.predictions) if diagnosis.predictions else None,
-        "joint_errors": [asdict(error) for error in diagnosis.joint_errors],
-        "unexplained": list(diagnosis.unexplained),
+        "mended": {"file": MENDED_FILE, "kind": kind} if kind else None,
+        "misfit": misfit and asdict(misfit) | {"noise_reached": misfit.noise_reached, "explained": misfit.explained},
+        "joint_errors": [asdict(error) | {"floor": error.floor} for error in diagnosis.joint_errors],
+        "open_loop": open_loop and asdict(open_loop) | {"unit": _position_unit(dataset.model)},
+        "chi2": diagnosis.chi2 and asdict(diagnosis.chi2),
+        "unexplained": list(diagnosis.unexplained) if diagnosis.verdict == "unexplained" else [],
         "residual": [table.joint for table in diagnosis.residual],
         "believed": [asdict(refit) for refit in diagnosis.believed],
         "confounds": [asdict(confound) for confound in diagnosis.confounds],
         "share": diagnosis.share,
-        "lack_of_fit": dict(zip(("before", "after"), diagnosis.lack_of_fit, strict=True)),
+        "lack_of_fit": diagnosis.lack_of_fit and dict(zip(("before", "after"), diagnosis.lack_of_fit, strict=True)),
         "threshold": diagnosis.threshold,
         "dispersion": diagnosis.dispersion,
         "noise": diagnosis.sigma,
-        "windows": dict(zip(("fit", "held_out", "samples", "length"), diagnosis.windows, strict=True)),
+        "windows": diagnosis.windows and dict(zip(_WINDOWS, diagnosis.windows, strict=True)),
         "steps": diagnosis.steps,
         "seconds": diagnosis.seconds,
         "notes": [*dataset.notes, *diagnosis.notes],
@@ -169,10 +164,20 @@ def before_entry(diagnosis: Diagnosis, dataset: Dataset, before: Mapping[str, An
     }
 
 
+def _named_entry(effect: NamedEffect, model: mujoco.MjModel) -> dict[str, Any]:
+    """An effect of the mended model that is no calibration."""
+    return (
+        {key: value for key, value in asdict(effect).items() if key != "tolerances" and (key != "latex" or value)}
+        | {"equivalent": [name_entry(name) for name in effect.equivalent]}
+        | {"joint": _driven_joint(model, effect.location)}
+    )
+
+
 def _effect_entry(effect: NamedEffect) -> dict[str, Any]:
-    """An effect with its numbers."""
+    """An effect of calibration with its numbers."""
     numbers = {name: asdict(estimate) for name, estimate in effect.parameters.items()}
-    return {"effect": effect.effect, "location": effect.location, "parameters": numbers}
+    about = {"effect": effect.effect, "location": effect.location, "parameters": numbers}
+    return about | {"tolerances": effect.tolerances}
 
 
 def _mend(

@@ -77,22 +77,22 @@ def save_quantities(folder: Path, quantities: Sequence[Quantity], sets: Sequence
         write_table(folder / "sets.csv", rows)
 
 
-def write_tables(result: Mapping[str, Any], disagreement: DisagreementMap, folder: Path) -> None:
+def write_tables(result: Mapping[str, Any], disagreement: DisagreementMap | None, folder: Path) -> None:
     """Write ranking.csv, believed.csv and disagreement.csv, of entries of result.json and the map of disagreement."""
     rows = [
         {key: row[key] for key in ("effect", "location", "score", "margin", "gain", "held_out", "equivalent")}
         | {"parameters": ", ".join(f"{name} = {value:.6g}" for name, value in row["parameters"].items())}
-        | {"beside": ", ".join(row["beside"])}
+        | {"beside": ", ".join(row["beside"]), "together": ", ".join(row["together"])}
         for row in result["ranking"]
     ]
     if rows:
         write_table(folder / "ranking.csv", rows)
     if result["believed"]:
         write_table(folder / "believed.csv", result["believed"])
-    if disagreement.places:
-        table: dict[str, Any] = {"place": list(disagreement.places)}
+    if disagreement is not None and disagreement.places:
+        table: dict[str, Any] = {"place": list(disagreement.places), "unit": list(disagreement.units)}
         for j, regime in enumerate(disagreement.regimes):
-            table[regime] = np.asarray(disagreement.value, float)[:, j]
+            table[regime] = np.asarray(disagreement.before, float)[:, j]
             table[f"{regime}: count"] = np.asarray(disagreement.count)[:, j]
         write_table(folder / "disagreement.csv", table)
 

@@ -5,21 +5,20 @@ elements of the specification (joints, geoms, bodies, actuators, options) from w
 """
 
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
+import scipy
 
-from btr_mjx.exports import field_ends
+from btr_mjx.gap.effects import rotation_matrix
 from btr_mjx.gap.simulate import World, differing_fields
-from btr_mjx.models import part_names
 
 _UNSET = float("nan")
 
 _ROUNDING = 2e-5
 """Part by which the largest moment of inertia stays below the sum of the others: numbers in XML have six digits."""
 
-_DERIVED = (
+DERIVED = (
     "actuator_delay",  # an edit of the command in a world; see `Effect.native`
     "actuator_acc0",
     "actuator_length0",
@@ -50,36 +49,6 @@ _WRITTEN = {
 """Fields that elements of a specification have under the same name, by kind."""
 _OPTION = ("gravity", "wind", "density", "viscosity", "impratio")
 _BODY_INERTIA = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
-
-_PARTS = {"jnt": "joint", "body": "body", "geom": "geom", "site": "site", "actuator": "actuator", "tendon": "tendon"}
-"""Kinds of parts by the beginning of the names of their fields."""
-
-
-def changed_numbers(believed: mujoco.MjModel, mended: mujoco.MjModel) -> tuple[dict[str, Any], ...]:
-    """Numbers that a mended model has instead of those of the believed one, without those that MuJoCo derives.
-
-    Args:
-      believed: the model before.
-      mended: a model of the same structure.
-
-    Returns:
-      For each number `part`, such as "joint knee", `field` with indices, and its values `believed` and `mended`.
-    """
-    out = []
-    for path, (before, after) in field_ends(believed, mended).items():
-        field, _, rest = path.partition("[")
-        if field in _DERIVED:
-            continue
-        kind, index = field.partition("_")[0], int(rest.partition("]")[0]) if rest else 0
-        if kind == "dof":
-            part = f"joint {part_names(believed, 'joint')[int(believed.dof_jntid[index])]}"
-        elif kind in _PARTS:
-            named = believed.names[getattr(believed, f"name_{kind}adr")[index] :].split(b"\0", 1)[0].decode()
-            part = f"{_PARTS[kind]} {named or index}"
-        else:
-            part = "model"
-        out.append({"part": part, "field": path, "believed": before, "mended": after})
-    return tuple(out)
 
 
 def normalised(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
@@ -117,7 +86,7 @@ def normalised(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
         for body in spec.bodies:
             if body.id > 0:
-                _write_inertia(body, model)
+                _write_inertia(body, model, model)
     for actuator in spec.actuators:
         if actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE:
             actuator.gainprm = again.actuator_gainprm[actuator.id]
@@ -138,7 +107,7 @@ def write_changes(spec: mujoco.MjSpec, world: World, base: mujoco.MjModel) -> li
     model = world.model
     left = []
     for name in changed:
-        if name.startswith(_DERIVED) or name in _BODY_INERTIA:
+        if name.startswith(DERIVED) or name in _BODY_INERTIA:
             continue
         rows = _rows(getattr(model, name), getattr(base, name)) if "." not in name else []
         if not _write(spec, name, rows, model, base):
@@ -146,7 +115,7 @@ def write_changes(spec: mujoco.MjSpec, world: World, base: mujoco.MjModel) -> li
     if not set(changed).isdisjoint(_BODY_INERTIA):
         for body in spec.bodies:
             if any(not np.array_equal(getattr(model, f)[body.id], getattr(base, f)[body.id]) for f in _BODY_INERTIA):
-                _write_inertia(body, model)
+                _write_inertia(body, model, base)
     return left
 
 
@@ -202,13 +171,30 @@ def _write_joints(spec: mujoco.MjSpec, name: str, rows: list[int], model: mujoco
     return True
 
 
-def _write_inertia(body: mujoco.MjsBody, model: mujoco.MjModel) -> None:
+def _write_inertia(body: mujoco.MjsBody, model: mujoco.MjModel, base: mujoco.MjModel) -> None:
+    """Write mass, centre and moments of a body, about principal axes in the order of the base model."""
     body.explicitinertial = True
     body.mass = float(model.body_mass[body.id])
     body.ipos = model.body_ipos[body.id]
-    body.iquat = model.body_iquat[body.id]
-    moments = model.body_inertia[body.id].copy()
+    moments, body.iquat = nearest_axes(model, base, body.id)
     least, middle, most = np.argsort(moments)
     moments[least] = max(moments[least], (1 + _ROUNDING) * moments[most] - moments[middle])
     body.inertia = moments
     body.fullinertia = [_UNSET, 0, 0, 0, 0, 0]
+
+
+def nearest_axes(model: mujoco.MjModel, base: mujoco.MjModel, body: int) -> tuple[np.ndarray, np.ndarray]:
+    """Principal moments (3,) of a body, and the orientation (4,) of their axes, in the order of another model.
+
+    Axes of inertia have neither order nor sign: of the 24 ways to name them, the one is taken that turns those of the
+    other model least.
+    """
+    turns = [rotation_matrix(own.body_iquat[body]) for own in (model, base)]
+    alike = turns[1].T @ turns[0]  # of each axis of the base (row) with each of the model's (column)
+    _, order = scipy.optimize.linear_sum_assignment(-np.abs(alike))
+    axes = turns[0][:, order] * np.where(alike[np.arange(3), order] < 0, -1.0, 1.0)
+    if np.linalg.det(axes) < 0:
+        axes[:, np.argmin(np.abs(alike[np.arange(3), order]))] *= -1
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, axes.flatten())
+    return model.body_inertia[body][order].copy(), quaternion

@@ -123,7 +123,7 @@ def test_a_large_effect_is_found(made: Path, found: Diagnosis) -> None:
     assert found.verdict == "effect"
     assert found.effects[0].effect == "ground_friction"
     assert found.effects[0].parameters["coefficient"].value == pytest.approx(0.25, rel=0.25)
-    assert found.gap.after < 0.5 * found.gap.before
+    assert found.misfit.after < 0.5 * found.misfit.before
     assert found.ranking[0].margin == 0
     assert len(found.ranking) == len(candidates(MODEL, TrialSimulator(table).scales(np.arange(3)), CHOSEN))
     assert expected_steps(table, CHOSEN) == pytest.approx(found.steps, rel=0.5)

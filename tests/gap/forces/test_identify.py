@@ -50,8 +50,9 @@ def test_friction_is_named_at_its_joint_and_is_no_part_of_calibration():
     assert own.value == pytest.approx(0.25, rel=0.1)
     assert own.low <= own.value <= own.high
     assert own.unit == "N m"
-    assert found.gap.after < found.gap.before
-    assert found.gap.open_loop_after < found.gap.open_loop_before
+    assert found.chi2.after < found.chi2.before
+    assert found.open_loop.after < found.open_loop.before
+    assert found.misfit.noise_reached
     assert found.ranking[0].effect == "dry_friction"
     names = [one.name for one in found.calibration]
     assert "dry_friction@joint:shoulder" not in names
@@ -80,8 +81,8 @@ def test_a_motor_that_is_a_little_stronger_is_calibration():
     assert own.location.startswith("actuator:")
     (gain,) = own.parameters.values()
     assert gain.value == pytest.approx(0.05, rel=0.2)
-    assert found.predictions is not None
-    assert found.predictions.mended < 0.5 * found.predictions.believed
+    assert found.misfit.after < 0.5 * found.misfit.before
+    assert found.mended_kind == "calibrated"
 
 
 DELAY = (*OWN, *(e for e in EFFECTS if e.name == "actuator_delay"))

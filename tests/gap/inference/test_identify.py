@@ -77,12 +77,12 @@ def test_what_one_window_alone_gains_is_left_out():
 
 
 def test_the_gap_closes_on_held_out_recordings(found):
-    assert found.gap.before > 2 * found.gap.after
-    assert found.gap.after == pytest.approx(1.0, abs=0.2)
-    assert found.gap.closed > 0.9
-    assert found.gap.noise_floor == min(found.gap.nulls, found.gap.after)
-    assert found.gap.nulls == pytest.approx(1.0, abs=0.2)
-    assert found.gap.open_loop_after < 0.3 * found.gap.open_loop_before
+    assert found.chi2.before > 2 * found.chi2.after
+    assert found.chi2.after == pytest.approx(1.0, abs=0.2)
+    assert found.misfit.explained > 0.9
+    assert found.misfit.noise_reached
+    assert found.chi2.nulls == pytest.approx(1.0, abs=0.2)
+    assert found.open_loop.after < 0.3 * found.open_loop.before
 
 
 def test_stretches_that_are_shown_are_those_on_which_both_models_differ(found):
@@ -100,11 +100,12 @@ def test_stretches_that_are_shown_are_those_on_which_both_models_differ(found):
 def test_the_map_points_at_the_elbow_in_fast_motion(found):
     table = found.disagreement
     assert table.places == ("joint:shoulder", "joint:elbow")
-    value = dict(zip(table.regimes, table.value[1], strict=True))
-    assert value["all"] > 3
-    assert value["fast"] > value["slow"]
-    assert table.value[1, 0] > 2 * table.value[0, 0]
-    assert np.isnan(value["contact"])
+    relative = dict(zip(table.regimes, table.relative[1], strict=True))
+    assert relative["all"] > 3
+    assert table.relative[1, 0] > 2 * table.relative[0, 0]
+    assert np.isnan(relative["contact"])
+    assert table.units == ("N m", "N m")
+    assert table.before[1, table.regimes.index("fast")] > table.before[1, table.regimes.index("slow")]
 
 
 def test_the_ranking_is_ordered_and_complete(found):
@@ -121,9 +122,11 @@ def test_nothing_is_named_where_nothing_is_missing(noise):
     found = identify(dataset(seed=2, noise=noise), LIBRARY, options=QUICK)
     assert found.verdict == "none"
     assert not found.effects
-    assert found.gap.before == found.gap.after
-    assert found.gap.noise_floor == pytest.approx(noise**2, rel=0.15)
-    assert found.gap.before == pytest.approx(found.gap.noise_floor, rel=0.15)
+    assert found.chi2.before == found.chi2.after
+    assert found.chi2.nulls == pytest.approx(noise**2, rel=0.15)
+    assert found.chi2.before == pytest.approx(found.chi2.nulls, rel=0.15)
+    assert found.misfit.before < 3  # smoothed states err at the ends of a recording
+    assert found.misfit.after is None
 
 
 def test_believed_numbers_are_refitted_before_anything_is_called_missing():
@@ -148,7 +151,7 @@ def test_a_name_whose_held_out_gap_grows_is_no_verdict(monkeypatch):
     found = naming.name_missing(bench, max_effects=1)
     assert found.verdict == "unexplained"
     assert not found.effects
-    assert found.gap.after == found.gap.before
+    assert found.chi2.after == found.chi2.before
 
 
 def test_something_outside_the_library_is_called_unexplained():

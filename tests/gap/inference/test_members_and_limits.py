@@ -29,8 +29,8 @@ def test_each_joint_has_a_number_of_its_own() -> None:
     for estimate, truth in ((shoulder, 0.05), (elbow, 0.015)):
         assert estimate.low < truth < estimate.high
         assert estimate.high - estimate.low < 0.03 * truth
-    assert found.gap.before > 1e3
-    assert found.gap.after < 1.2
+    assert found.chi2.before > 1e3
+    assert found.chi2.after < 1.2
 
 
 def test_one_number_is_enough_where_the_joints_are_alike() -> None:
@@ -125,7 +125,7 @@ def test_five_rotors_of_an_arm(tmp_path: Path) -> None:
     np.testing.assert_allclose(values, rotors - 0.01, rtol=0.015)
     for truth, own in zip(rotors - 0.01, named.parameters.values(), strict=True):
         assert own.low < truth < own.high
-    assert found.gap.after < 2 * found.gap.nulls
+    assert found.chi2.after < 2 * found.chi2.nulls
 
 
 @pytest.mark.parametrize(("factors", "expected"), [((1.1, -0.5), True), ((0.3, 0.5), True), ((3.0, 0.5), False)])

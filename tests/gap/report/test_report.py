@@ -37,7 +37,8 @@ def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
     before[2, 4] = np.nan
     write_arrays(
         tmp_path / "disagreement.npz",
-        {"rows": np.array(rows), "columns": np.array(columns), "before": before, "after": np.minimum(before, 1.3)},
+        {"rows": np.array(rows), "units": np.array(["N m"] * 4), "columns": np.array(columns)}
+        | {"before": before, "after": np.minimum(before, 1.3)},
     )
     arrays: dict[str, Any] = {key: np.array([v, v]) for key, v in (("names", "knee0"), ("units", "rad"))}
     arrays["recordings"] = np.array(["trot-07", "trot-08"])
@@ -82,17 +83,18 @@ def test_the_page_is_complete_and_self_contained(folder: Path) -> None:
     page = Page(draw_report(folder).read_text(encoding="utf-8"))
     assert "Simulation and data disagree most at joint knee0, when it moves fast under load." in page.text
     assert (
-        "The missing effect is load-dependent gear friction at joint knee0 (0.312 ± 0.030 of the motor torque)."
+        "A part of what is missing is load-dependent gear friction at joint knee0 (0.312 ± 0.030 of the motor torque)."
         in page.text
     )
     assert (
-        "It explains 79 % of the disagreement on recordings that were not used: predicted over 0.25 s, joint knee0 is "
-        "off by 0.57° instead of 4°, where noise makes 0.11°; more than noise is left." in page.text
+        "It explains 12 % of the disagreement on recordings that were not used: predicted over 0.25 s, joint knee0 is "
+        "off by 0.573° instead of 4.01°, where noise and the time step make 0.115°; more than noise is left, most of "
+        "it at joint knee1." in page.text
     )
-    assert "The held-out gap shrinks from 0.054 to 0.027 rad; noise leaves 0.02." in page.text
+    assert "falls from 62.2 to 55 (1: what noise and the time step make, root mean square over joints)." in page.text
     assert "The next best that is not equivalent: dry friction at joint knee0, far behind" in page.text
     assert "quadruped <left>" in page.text  # escaped in the source
-    assert "joint knee0 4.011 0.573 0.1146 ° position of body torso 4 1 0.2 mm" in page.text
+    assert "joint knee0 4.01 0.573 0.115 0.115 ° 35 5 position of body torso 4 1 0.2 0.2 mm 20 5" in page.text
     for heading in ("What is missing", "Where simulation", "Candidates", "Before and after", "Believed", "mistaken"):
         assert heading in page.text
     assert "Drive knee0 at twice the speed" in page.text
@@ -109,7 +111,7 @@ def test_the_same_files_draw_the_same_page(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"verdict": "none", "effects": [], "equivalent": []}, "Nothing is missing"),
+        ({"verdict": "none", "effects": [], "equivalent": []}, "though more than noise is left"),
         (
             {"verdict": "unexplained", "effects": [], "unexplained": ["joint knee0, a force that follows its angle"]},
             "follows",
@@ -262,8 +264,8 @@ def test_one_more_effect_has_candidates_of_its_own(folder: Path) -> None:
     changed = {"effects": [*RESULT["effects"], second], "ranking": [*RESULT["ranking"], row]}
     write_json(folder / "result.json", RESULT | changed)
     page = Page(draw_report(folder).read_text(encoding="utf-8"))
-    table = page.text[page.text.index("behind the first") :]
-    assert "a payload body torso 900 named load-dependent gear friction at joint knee0" in table
+    table = page.text[page.text.index("Candidates") :]
+    assert "a payload body torso 111 named load-dependent gear friction at joint knee0" in table
 
 
 @pytest.mark.parametrize(("score", "said"), [(900.0, True), (700.0, False)])
@@ -281,7 +283,7 @@ def test_candidates_that_are_not_ruled_out_are_listed(folder: Path) -> None:
         "effects": [],
         "equivalent": [{"effect": "link_length", "location": "body:shin2"}],
     }
-    text = verdict_sentence(none)
+    text = verdict_sentence(none | {"misfit": none["misfit"] | {"noise_reached": True}})
     assert text.startswith("Nothing need be missing")
     assert text.endswith("Another length of the link at body shin2 is not ruled out.")
     assert "explains more than chance, but small errors of calibration explain" in " ".join(detail_sentences(none))
@@ -290,6 +292,12 @@ def test_candidates_that_are_not_ruled_out_are_listed(folder: Path) -> None:
     assert f"Not ruled out, though {REASON_NOT_NAMED}:" in page
     assert "These data cannot distinguish" not in page
     assert f"Alike: {REASON_NOT_NAMED}." in page
+
+
+def test_a_folder_of_an_earlier_version(folder: Path) -> None:
+    write_json(folder / "result.json", {key: value for key, value in RESULT.items() if key != "misfit"})
+    with pytest.raises(InputError, match="earlier version; diagnose again"):
+        draw_report(folder)
 
 
 def test_a_folder_without_a_diagnosis(tmp_path: Path) -> None:
@@ -302,13 +310,12 @@ def test_a_folder_without_a_diagnosis(tmp_path: Path) -> None:
 
 def test_candidates_are_listed_with_their_distance_to_the_first(folder: Path) -> None:
     more = [{"effect": "air_drag", "location": "world", "score": -k, "margin": 812.0 + k} for k in range(4, 30)]
-    write_json(folder / "result.json", RESULT | {"ranking": [*RESULT["ranking"], *more], "threshold": 20.0})
+    write_json(folder / "result.json", RESULT | {"ranking": [*RESULT["ranking"], *more]})
     text = Page(draw_report(folder).read_text(encoding="utf-8")).text
     friction = "load-dependent gear friction"
-    assert f"{friction} joint knee0 812 0 named {friction} every joint from body thigh0 down 800 12 alike" in text
-    assert "dry friction joint knee0 402 410" in text
+    assert f"{friction} joint knee0 100 named {friction} every joint from body thigh0 down 98.5 alike" in text
+    assert "dry friction joint knee0 49.5" in text
     assert "held-out gain" not in text
-    assert "A name needs a score of 20 at least." in text
     first, rest = text[text.index("Candidates") :].split("More candidates")
     assert (first.count("air drag the world"), rest.count("air drag the world")) == (10, 16)
 
@@ -319,7 +326,7 @@ def test_a_candidate_without_a_number_has_an_empty_cell(folder: Path) -> None:
     write_json(folder / "result.json", RESULT | {"ranking": ranking})
     text = Page(draw_report(folder).read_text(encoding="utf-8")).text
     assert "held-out gain" in text
-    assert "joint knee0 812 0 3.5 named" in text
+    assert "joint knee0 100 0.431 named" in text
     assert "NaN" not in text[text.index("Candidates") : text.index("The mended model")]
 
 

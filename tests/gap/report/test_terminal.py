@@ -23,7 +23,7 @@ def test_columns_of_candidates_stand_below_their_heads(
     head = next(i for i, line in enumerate(lines) if line.startswith("candidate"))
     below = lines[head + 2 : head + 4]
     assert "each with its own number" in below[1]
-    for line, score in zip(below, ("12429.8", "7.0"), strict=True):
-        assert line.index(score) + len(score) == lines[head].index("score") + len("score")
+    for line, score in zip(below, ("100", "0.0563"), strict=True):
+        assert line.index(score) + len(score) == lines[head].index("score [%]") + len("score [%]")
     assert ("held-out" in lines[head]) == (held_out is not None)
     assert len({len(line) for line in (lines[head], *below)}) == 1

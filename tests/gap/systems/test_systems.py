@@ -78,5 +78,5 @@ def test_what_is_missing_is_named_among_all_effects(name: str) -> None:
     (estimate,) = found.effects[0].parameters.values()
     assert estimate.value == pytest.approx(system.value, rel=0.15)
     assert estimate.low - 0.02 * abs(system.value) <= system.value <= estimate.high + 0.02 * abs(system.value)
-    assert np.isfinite(found.gap.after)
-    assert found.gap.after < found.gap.before
+    assert np.isfinite(found.chi2.after)
+    assert found.chi2.after < found.chi2.before

@@ -29,7 +29,7 @@ def joint_forces(side: ForceSide, first: Fitted, last: Fitted) -> tuple[JointFor
       last: with all that was named.
     """
     model = side.stretches.data.recordings[0].model
-    before, after = map(_random_force, (first, last))
+    before, after = map(random_force, (first, last))
     states = joint_states(last.stretches, last.point.hypothesis(side.library))
     scalar = model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
     usual = np.sqrt((states.load**2).mean((0, 1)) + (before**2).mean((0, 1)) + 1e-300)
@@ -60,8 +60,8 @@ def joint_forces(side: ForceSide, first: Fitted, last: Fitted) -> tuple[JointFor
     return tuple(out)
 
 
-def _random_force(fit: Fitted) -> np.ndarray:
-    """(S, K, nv) expected random force beside a fit."""
+def random_force(fit: Fitted) -> np.ndarray:
+    """(S, K, nv) force that is missing beside a fit [N or N m]."""
     return smoothed(fit.linear, np.zeros_like(fit.linear.defect), fit.variances).force
 
 

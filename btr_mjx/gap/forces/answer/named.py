@@ -102,13 +102,11 @@ def ranking_by_forces(rounds: Sequence[SearchRound]) -> tuple[RankedCandidate, .
         scored = []
         for score, fit in of.finalists:
             new = [(c, v) for c, v in fit.point.named if c.name not in given]
-            if len(new) == 1:
-                scored.append((score, *new[0]))
-            else:
-                scored += [(score, c, v) for c, v in new]
-        scored += [(lead.score, lead.candidate, lead.values) for lead in of.leads]
+            together = tuple(c.name for c, _ in new) if len(new) > 1 else ()
+            scored += [(score, c, v, together) for c, v in new]
+        scored += [(lead.score, lead.candidate, lead.values, ()) for lead in of.leads]
         best = max((row[0] for row in scored), default=0.0)
-        for score, candidate, values in scored:
+        for score, candidate, values, together in scored:
             if candidate.name in seen:
                 continue
             seen.add(candidate.name)
@@ -119,9 +117,10 @@ def ranking_by_forces(rounds: Sequence[SearchRound]) -> tuple[RankedCandidate, .
                     float(score),
                     float(best - score),
                     float(score),
-                    float("nan"),
+                    None,
                     {p.name: float(v) for p, v in zip(candidate.parameters, values, strict=True)},
                     tuple(given),
+                    together,
                 )
             )
     return tuple(rows)

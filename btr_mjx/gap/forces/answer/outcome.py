@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 
 from btr_mjx.gap.data import Dataset
-from btr_mjx.gap.effects import TORQUE_CONSTANT, Candidate, Hypothesis, ResidualTable
+from btr_mjx.gap.effects import TORQUE_CONSTANT, Hypothesis, ResidualTable
 from btr_mjx.gap.forces.answer.force_confounds import confounds_of
 from btr_mjx.gap.forces.answer.found import SearchOutcome
 from btr_mjx.gap.forces.answer.joint_forces import joint_forces
@@ -14,15 +15,19 @@ from btr_mjx.gap.forces.answer.named import ALIKE, alternatives_of, named_by_for
 from btr_mjx.gap.forces.answer.regimes import map_of_forces, unexplained_words
 from btr_mjx.gap.forces.answer.shown import forces_overlays
 from btr_mjx.gap.forces.horizons import cut_horizons, position_errors
-from btr_mjx.gap.forces.predictions import joint_errors, predictions
+from btr_mjx.gap.forces.predictions import joint_errors, noise_errors, predicts_better, step_errors
 from btr_mjx.gap.forces.sets.combined import combined
 from btr_mjx.gap.forces.unknowns import believed_values
 from btr_mjx.gap.results import (
+    Chi2,
     Diagnosis,
     Estimate,
-    Gap,
+    JointError,
     NamedEffect,
+    OpenLoop,
     Refit,
+    misfit_of,
+    verdict_of,
     without_late_log,
 )
 
@@ -40,33 +45,39 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
       found: by the search.
       seconds: that it took.
     """
+    model, named = dataset.model, named_by_forces(found)
+    is_left = bool(found.large.any()) or found.law is not None
+    errors = _errors(model, found)
+    verdict = verdict_of(bool(named), is_left, misfit_of(errors))
+    if verdict == "unexplained" and not predicts_better(*found.errors):
+        # Beside the believed model: what was found follows held-out recordings no better, and is no model of the robot.
+        named, found = (), replace(found, calibration=(), mended=found.base, errors=_unchanged(found.errors))
+        errors = _errors(model, found)
     first, last = found.chain[0], found.chain[-1]
-    named = named_by_forces(found)
-    verdict = "unexplained" if found.large.any() or found.law is not None else "effect" if named else "none"
-    ranking = ranking_by_forces(found.rounds)
+    shown = last if named else first
     seen = found.side.stretches.seen
     # In units of the noise of the dataset, whatever was estimated beside it.
     floor = float(np.mean((last.variances.sensor / found.side.stretches.sigma**2)[seen]))
     # Somebody pushes, time stamps jump: of a few stretches any mean is large.
     before, after = (floor * float(np.median(own.chi2)) for own in found.held_out)
-    loops = _open_loop(found)
-    model = dataset.model
+    disagreement = map_of_forces(model, found, shown)
     diagnosis = Diagnosis(
-        verdict=verdict,  # type: ignore[arg-type]
-        effects=named,
+        found=named,
+        ranking=ranking_by_forces(found.rounds),
+        steps=found.side.counter.steps,
+        seconds=seconds,
+        unexplained=unexplained_words(model, found, disagreement) if is_left else (),
+        joint_errors=errors,
+        open_loop=_open_loop(found),
+        chi2=Chi2(before, after, floor),
         calibration=_calibration(found),
-        ranking=ranking,
-        equivalent=alternatives_of(round_of(found, last.point.named[0][0].name)) if named else (),
-        gap=Gap(before, after, min(floor, after), floor, float(np.sqrt(before)), float(np.sqrt(after)), *loops),
-        disagreement=map_of_forces(model, found),
-        unexplained=unexplained_words(model, found) if verdict == "unexplained" else (),
+        equivalent=alternatives_of(round_of(found, last.point.named[0][0].name)) if verdict == "effect" else (),
+        disagreement=disagreement,
         believed=_refits(dataset, found),
         confounds=confounds_of(found.side, last) if verdict == "effect" else (),
         overlays=forces_overlays(model, found),
         share=1 - float(last.variances.force.sum() / max(first.variances.force.sum(), 1e-300)),
         lack_of_fit=(found.held_out[0].lack, found.held_out[1].lack),
-        threshold=0.0,
-        dispersion=1.0,
         sigma=sigma,
         windows=(
             len(found.side.stretches),
@@ -74,18 +85,25 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
             found.side.stretches.intervals,
             float(np.ptp(found.side.stretches.time[0])),
         ),
-        steps=found.side.counter.steps,
-        seconds=seconds,
         survivors=_survivors(found),
-        predictions=predictions(found.errors[:2], found.errors[2]),
-        joint_errors=joint_errors(model, found.errors[:2], sigma),
         notes=(*([_NOT_BORNE_OUT] if found.contradicted else []), *_of_drives(found)),
-        joint_forces=joint_forces(found.side, first, last if verdict == "effect" else first),
+        joint_forces=joint_forces(found.side, first, shown),
     )
-    told = without_late_log(diagnosis)  # of any verdict
-    if told.verdict != "unexplained":
-        return told
-    return replace(told, effects=(), calibration=without_intervals(combined(first.point.base.effects, ())))
+    return without_late_log(diagnosis)
+
+
+def _errors(model: mujoco.MjModel, found: SearchOutcome) -> tuple[JointError, ...]:
+    """Errors of predictions by joint, of the believed model and, where there is one, of the mended one."""
+    before, after, steady = found.errors
+    about = found.test.stretches.data, found.mended, found.side.counter
+    floor = noise_errors(*about), step_errors(*about)
+    return joint_errors(model, before, None if found.mended is found.base else after, floor, steady)
+
+
+def _unchanged(errors: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors where the mended model is the believed one."""
+    before, _, steady = errors
+    return before, before, steady
 
 
 def with_tables_told(diagnosis: Diagnosis, tables: Sequence[ResidualTable]) -> Diagnosis:
@@ -118,35 +136,26 @@ def _calibration(found: SearchOutcome) -> tuple[NamedEffect, ...]:
 
     First what was known of the robot before, with the values that it has now, then the largest.
     """
-    size = {
-        entry.candidate.name: abs(value) / tolerance
-        for entry, value, tolerance in zip(
-            found.side.library.calibrated,
-            found.chain[-1].point.calibration,
-            found.side.library.calibration.tolerance,
-            strict=True,
-        )
-    }
+    library, size = found.side.library, dict[str, float]()
+    values = found.chain[-1].point.calibration
+    for entry, value, tolerance in zip(library.calibrated, values, library.calibration.tolerance, strict=True):
+        name = entry.candidate.name
+        size[name] = max(size.get(name, 0.0), float(abs(value) / tolerance))
     own = sorted(found.calibration, key=lambda row: -size[row[0].name])
     before = found.chain[0].point.base.effects
-    return without_intervals(combined(before, own) if before else own)
-
-
-def without_intervals(effects: Sequence[tuple[Candidate, tuple[float, ...]]]) -> tuple[NamedEffect, ...]:
-    """Effects without intervals."""
+    every = combined(before, own) if before else own
     return tuple(
         NamedEffect(
             candidate.effect.name,
             candidate.place.label,
             {
-                own.name: Estimate(value, value, value, own.unit, float(own.null))
-                for own, value in zip(candidate.parameters, values, strict=True)
+                number.name: Estimate(value, None, None, number.unit, float(number.null))
+                for number, value in zip(candidate.parameters, values, strict=True)
             },
-            0.0,
-            0.0,
             equation=candidate.effect.equation,
+            tolerances=size.get(candidate.name),
         )
-        for candidate, values in effects
+        for candidate, values in every
     )
 
 
@@ -164,12 +173,12 @@ def _refits(dataset: Dataset, found: SearchOutcome) -> tuple[Refit, ...]:
     )
 
 
-def _open_loop(found: SearchOutcome) -> tuple[float, float]:
-    """Mean absolute position error over whole held-out recordings [rad or m], believed and mended."""
+def _open_loop(found: SearchOutcome) -> OpenLoop:
+    """Mean absolute position error over whole held-out recordings, believed and mended."""
     trial = cut_horizons(found.test.stretches.data, np.inf)
-    errors = position_errors(trial, [found.base, found.mended], found.test.counter)
-    before, after = (float(np.mean([np.abs(own).mean() for own in row])) for row in errors)
-    return before, after
+    makes = [found.base] if found.mended is found.base else [found.base, found.mended]
+    errors = position_errors(trial, makes, found.test.counter)
+    return OpenLoop(*(float(np.mean([np.abs(own).mean() for own in row])) for row in errors))
 
 
 def _survivors(found: SearchOutcome) -> tuple[Hypothesis, ...]:

@@ -4,13 +4,12 @@ import mujoco
 import numpy as np
 
 from btr_mjx.gap.forces.answer.found import SearchOutcome
-from btr_mjx.gap.forces.kalman_filter import smoothed
+from btr_mjx.gap.forces.answer.joint_forces import random_force
 from btr_mjx.gap.forces.law_scan import law_words
 from btr_mjx.gap.forces.missing_force import commanded_share
-from btr_mjx.gap.results import (
-    DisagreementMap,
-)
-from btr_mjx.models import dof_places, part_names
+from btr_mjx.gap.forces.points import Fitted
+from btr_mjx.gap.results import DisagreementMap, force_places, format_number, mean_map, place_in_words
+from btr_mjx.models import part_names
 
 _SLIGHT = 1e-2
 """Part of the usual force of a joint that nobody would miss."""
@@ -19,15 +18,17 @@ _CAP = 1e4
 """Largest squared force in a map, in units of its variance."""
 
 
-def map_of_forces(model: mujoco.MjModel, found: SearchOutcome) -> DisagreementMap:
-    """Mean square of the missing force by joint and regime, in units of the random force that is left.
+def map_of_forces(model: mujoco.MjModel, found: SearchOutcome, shown: Fitted) -> DisagreementMap:
+    """The missing force by place and regime.
 
     Args:
       model: the believed model.
       found: by the search.
+      shown: the fit of the mended model; the first of the chain where there is none.
     """
     missing, first = found.missing, found.chain[0]
-    force = smoothed(first.linear, np.zeros_like(first.linear.defect), first.variances).force
+    force = random_force(first)
+    left = force if shown is first else random_force(shown)
     usual = (missing.actuator**2).mean((0, 1)) + (missing.force**2).mean((0, 1))
     floor = np.maximum(found.chain[-1].variances.force, _SLIGHT**2 * usual + 1e-300)
     square = np.minimum(force**2 / floor, _CAP)
@@ -46,41 +47,33 @@ def map_of_forces(model: mujoco.MjModel, found: SearchOutcome) -> DisagreementMa
         "early": ~late,
         "late": late,
     }
-    every = dof_labels(model)
-    places = tuple(dict.fromkeys(every))
-    value, count = np.full((len(places), len(masks)), np.nan), np.zeros((len(places), len(masks)), int)
-    for i, place in enumerate(places):
-        own = np.array([name == place for name in every])
-        for j, mask in enumerate(masks.values()):
-            chosen = mask[..., own]
-            count[i, j] = int(chosen.sum())
-            if count[i, j]:
-                value[i, j] = float(square[..., own][chosen].mean())
-    return DisagreementMap(places, tuple(masks), value, count)
+    return mean_map(model, masks, force, None if shown is first else left, square)
 
 
-def unexplained_words(model: mujoco.MjModel, found: SearchOutcome) -> tuple[str, ...]:
+def unexplained_words(model: mujoco.MjModel, found: SearchOutcome, left: DisagreementMap) -> tuple[str, ...]:
     """What is unexplained, in words.
 
     Args:
       model: the believed model.
       found: by the search.
+      left: the missing force by place.
     """
     law = (law_words(model, found.law),) if found.law is not None else ()
-    left = np.sqrt(found.chain[-1].variances.force)
+    random = np.sqrt(found.chain[-1].variances.force)
     usual = np.sqrt((found.missing.actuator**2).mean((0, 1)))
     commanded = commanded_share(found.missing, float(np.median(np.diff(found.side.stretches.time, axis=1))))
-    places = dof_places(model)
-    worst = np.argsort(-left / np.maximum(usual, 1e-300))
-    return (
-        *law,
-        *(
-            f"{places[j][0]}: a force of {left[j]:.3g} {places[j][1]} (root mean square) beside {usual[j]:.3g} of its "
-            f"actuators, whose commands predict {100 * commanded[j]:.0f} % of the force that its motion needs"
-            for j in worst
-            if found.large[j]
-        ),
-    )[:3]
+    every = force_places(model)
+    worst = np.argsort(-random / np.maximum(usual, 1e-300))
+    said: dict[tuple[str, str], str] = {}
+    for j in worst:
+        if found.large[j] and every[j] not in said:
+            label, unit = every[j]
+            size, beside = format_number(left.size_at(label)), format_number(float(usual[j]))
+            said[label, unit] = (
+                f"{place_in_words(label)}: a force of {size} {unit} (root mean square) beside {beside} {unit} of its "
+                f"actuators, whose commands predict {100 * commanded[j]:.0f} % of the force that its motion needs"
+            )
+    return (*law, *said.values())[:3]
 
 
 def dof_labels(model: mujoco.MjModel) -> list[str]:

@@ -20,6 +20,9 @@ _BINS = 4
 _PART = 0.05
 """Longest part of a window with one force [s]."""
 
+_MOST = 100.0
+"""A force counts up to so much where its size is told, in units of its standard deviation."""
+
 _CAP = 6.0
 """A window's excess counts up to so many standard deviations."""
 
@@ -159,6 +162,12 @@ class ForceFit:
         return np.stack([values[:, self.part == b].mean(1) for b in range(self.bins)], 1)
 
 
+def beyond_noise(forces: Forces) -> tuple[np.ndarray, np.ndarray]:
+    """Forces (W, bins, nv) without wild ones, and their variance by noise alone, by which their square exceeds them."""
+    sigma = np.where(np.isfinite(forces.value), forces.sigma, 0.0)
+    return np.clip(np.nan_to_num(forces.value), -_MOST * sigma, _MOST * sigma), sigma**2
+
+
 def excess(forces: Forces) -> np.ndarray:
     """By how much the forces explain more than they would of noise, per window, bounded (W,)."""
     spread = np.sqrt(2.0 * forces.rank)
@@ -205,6 +214,8 @@ def describe(fit: ForceFit, forces: Forces, around: Circumstances) -> list[Descr
     strength = np.maximum(z2.mean((0, 1)) - 1.0, 0.0)
     total = max(float(strength.sum()), 1e-12)
     features = _features(fit, around)
+    bounded, noise = beyond_noise(forces)
+    sizes = np.sqrt(np.maximum((bounded**2 - noise).mean((0, 1)), 0.0)).tolist()
     out = []
     for dof in np.argsort(-strength)[:_DESCRIBED]:
         if strength[dof] < 0.05 * total or strength[dof] <= 0:
@@ -212,8 +223,6 @@ def describe(fit: ForceFit, forces: Forces, around: Circumstances) -> list[Descr
         y, w = forces.value[..., dof].ravel(), weight[..., dof].ravel()
         w = w * np.where(z2[..., dof].ravel() >= 100.0, 0.1, 1.0)
         follows, left = [], y - np.average(y, weights=w)
-        variance = np.average(left**2, weights=w)
-        noise = 1.0 / max(w.mean(), 1e-300)
         for _ in range(2):
             best = None
             for name, other, x in features:
@@ -234,8 +243,7 @@ def describe(fit: ForceFit, forces: Forces, around: Circumstances) -> list[Descr
             follows.append((best[0].removesuffix(" here"), best[1], best[2]))
             slope = np.average(best[3] * left, weights=w) / np.average(best[3] ** 2, weights=w)
             left = left - slope * best[3]
-        size = float(np.sqrt(max(variance - noise, 0.0)))
-        out.append(Description(int(dof), float(strength[dof]) / total, tuple(follows), size))
+        out.append(Description(int(dof), float(strength[dof]) / total, tuple(follows), sizes[dof]))
     return out if nv else []
 
 

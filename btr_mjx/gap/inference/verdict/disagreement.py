@@ -1,4 +1,4 @@
-"""Where simulation and data disagree, before any fit: a map of joints and regimes in units of the noise floor.
+"""Where simulation and data disagree, before any fit: a map of the force that is missing, by joint and regime.
 
 The unknown generalised forces that would make the believed model follow the data are fitted in short windows; a
 residual force is where its cause is, while a residual motion spreads through the robot.
@@ -7,14 +7,14 @@ residual force is where its cause is, while a residual motion spreads through th
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.inference.scoring.forces import Circumstances, ForceFit, Forces
-from btr_mjx.gap.results import DisagreementMap
+from btr_mjx.gap.inference.scoring.forces import Circumstances, ForceFit, Forces, beyond_noise
+from btr_mjx.gap.results import DisagreementMap, mean_map
 from btr_mjx.models import part_names
 
 REGIMES = ("all", "slow", "fast", "low load", "high load", "contact", "air", "early", "late")
 
 _CAP = 100.0
-"""A squared force counts up to so much, in units of its variance."""
+"""A squared force counts up to so much where places are compared, in units of its variance."""
 
 
 def place_names(model: mujoco.MjModel) -> list[str]:
@@ -55,14 +55,6 @@ def disagreement(model: mujoco.MjModel, fit: ForceFit, forces: Forces, around: C
         "early": time <= middle,
         "late": time > middle,
     }
-    names = place_names(model)
-    places = list(dict.fromkeys(names))
-    value, count = np.full((len(places), len(REGIMES)), np.nan), np.zeros((len(places), len(REGIMES)), int)
-    for i, place in enumerate(places):
-        own = np.array([name == place for name in names])
-        for j, regime in enumerate(REGIMES):
-            chosen = (masks[regime] & seen)[..., own]
-            count[i, j] = int(chosen.sum())
-            if count[i, j]:
-                value[i, j] = float(z2[..., own][chosen].mean())
-    return DisagreementMap(tuple(places), REGIMES, value, count)
+    masks = {regime: masks[regime] & seen for regime in REGIMES}
+    value, noise = beyond_noise(forces)
+    return mean_map(model, masks, value, None, z2, noise)

@@ -21,9 +21,11 @@ from btr_mjx.gap.forces import (
     horizon_errors,
     identify_forces,
     joint_errors,
-    predictions,
+    noise_errors,
+    predicts_better,
     predicts_worse,
     prepare_forces,
+    step_errors,
 )
 from btr_mjx.gap.inference.search.naming import CONTACT_THRESHOLD, THRESHOLD, within_calibration
 from btr_mjx.gap.inference.search.rounds import search
@@ -31,16 +33,17 @@ from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import Judged
 from btr_mjx.gap.inference.verdict.check import COARSE, Check
 from btr_mjx.gap.inference.verdict.confounds import confounds
+from btr_mjx.gap.inference.verdict.openloop import open_loop
 from btr_mjx.gap.inference.verdict.outcome import (
+    chi2_of,
     equivalent,
-    gap_of,
     named_effects,
     overlays,
     ranking_of,
     refits,
     survivors,
 )
-from btr_mjx.gap.results import Diagnosis
+from btr_mjx.gap.results import Diagnosis, misfit_of, verdict_of
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.gap.windows import Options, time_step_notes
 
@@ -132,35 +135,39 @@ def name_missing(
     share = check.share(final)
     before, after = check.surprise(None), check.surprise(final)
     best = rounds[0][0] if rounds[0] else None
-    verdict = "effect" if named else "none"
-    surprised = left_beside_name(check, named[-1], share, after) if named else left_without_name(check, best)
-    if surprised:
-        verdict = "unexplained"
-    said = named if verdict == "effect" else []
-    mended = said[-1].hypothesis if said else base
-    errors, steady = horizon_errors(bench.test.windows.data, [base, mended], bench.counter)
+    is_left = left_beside_name(check, named[-1], share, after) if named else left_without_name(check, best)
+    data, model = bench.test.windows.data, bench.dataset.model
+    mended = base if final is None else final.hypothesis
+    (first, last), steady = horizon_errors(data, [base, mended], bench.counter)
+    floor = noise_errors(data, mended, bench.counter), step_errors(data, mended, bench.counter)
+    errors = joint_errors(model, first, None if final is None else last, floor, steady)
+    verdict = verdict_of(bool(named), is_left, misfit_of(errors))
+    said = named
+    if named and verdict == "unexplained" and not predicts_better(first, last, steady):
+        # What was found follows held-out recordings no better, and is no model of the robot.
+        said, errors = [], joint_errors(model, first, None, floor, steady)
+    told = said[-1] if said else None
     return Diagnosis(
-        verdict=verdict,  # type: ignore[arg-type]
-        effects=named_effects(bench, said, rounds, rng),
+        found=named_effects(bench, said, rounds, rng),
         ranking=ranking_of(rounds),
+        steps=bench.counter.steps,
+        seconds=time.monotonic() - begun + bench.counter.earlier,
+        unexplained=check.words(final) if is_left else (),
+        joint_errors=errors,
+        open_loop=open_loop(bench, [base] if told is None else [base, told.hypothesis]),
+        chi2=chi2_of(bench, told, check.floor(told)),
         equivalent=undecided(bench, rounds[0], verdict),
-        gap=gap_of(bench, base, said[-1] if said else None, check.floor(said[-1] if said else None)),
         disagreement=check.map(),
-        unexplained=check.words(final) if surprised else (),
         believed=refits(bench, base, final),
         confounds=confounds(bench, base, named if verdict == "effect" else []),
-        overlays=overlays(bench, final),
+        overlays=overlays(bench, told),
         share=share,
         lack_of_fit=(before, after),
         threshold=THRESHOLD,
         dispersion=bench.dispersion,
         sigma=bench.sigma,
         windows=(len(bench.fit.windows), len(bench.test.windows), bench.fit.windows.k, bench.survey.span),
-        steps=bench.counter.steps,
-        seconds=time.monotonic() - begun + bench.counter.earlier,
         survivors=survivors(bench, rounds, named),
-        predictions=predictions(errors, steady),
-        joint_errors=joint_errors(bench.dataset.model, errors, bench.sigma),
         notes=time_step_notes(bench.fit.windows),
     )
 

@@ -8,21 +8,22 @@ from collections.abc import Sequence
 import numpy as np
 
 from btr_mjx.gap.inference.search.search import Bench
+from btr_mjx.gap.results import OpenLoop
 from btr_mjx.gap.simulate import Counter, Segments, simulate
 from btr_mjx.gap.windows import MakeWorld, PreparedData, smooth
 from btr_mjx.models import difference
 
 
-def open_loop(bench: Bench, makes: Sequence[MakeWorld]) -> list[float]:
-    """Mean absolute position error over whole held-out recordings [rad or m]; NaN where the robot touches the world.
+def open_loop(bench: Bench, makes: Sequence[MakeWorld]) -> OpenLoop | None:
+    """Mean absolute position error over whole held-out recordings; None where the robot touches the world.
 
     Args:
       bench: of the search.
-      makes: hypotheses.
+      makes: the believed model and, where there is one, the mended one.
     """
     if bench.survey.contact:
-        return [float("nan")] * len(makes)
-    return [float(np.mean(errors)) for errors in recording_errors(bench.test.windows.data, makes, bench.counter)]
+        return None
+    return OpenLoop(*(float(np.mean(own)) for own in recording_errors(bench.test.windows.data, makes, bench.counter)))
 
 
 def recording_errors(data: PreparedData, makes: Sequence[MakeWorld], counter: Counter | None = None) -> np.ndarray:

@@ -10,9 +10,8 @@ from btr_mjx.gap.inference.search.search import Bench
 from btr_mjx.gap.inference.search.search_records import MARGIN, Judged
 from btr_mjx.gap.inference.verdict.disagreement import place_names
 from btr_mjx.gap.inference.verdict.intervals import intervals
-from btr_mjx.gap.inference.verdict.openloop import open_loop
 from btr_mjx.gap.inference.verdict.profile import profiled
-from btr_mjx.gap.results import Gap, NamedEffect, Overlay, RankedCandidate, Refit
+from btr_mjx.gap.results import Chi2, NamedEffect, Overlay, RankedCandidate, Refit
 
 _OVERLAYS = 3
 """Number of held-out stretches that are shown."""
@@ -88,28 +87,15 @@ def ranking_of(rounds: Sequence[Sequence[Judged]]) -> tuple[RankedCandidate, ...
     return tuple(rows)
 
 
-def gap_of(bench: Bench, start: Hypothesis, judged: Judged | None, nulls: float) -> Gap:
-    """The gap on held-out recordings.
+def chi2_of(bench: Bench, judged: Judged | None, nulls: float) -> Chi2:
+    """chi^2 of held-out recordings.
 
     Args:
       bench: of the search.
-      start: the believed model, refitted.
-      judged: what was named, all of it; None for nothing.
+      judged: what the mended model has, all of it; None for nothing.
       nulls: what simulated nulls leave.
     """
-    windows = bench.test.windows
-    before, after = held_out_chi2(bench, judged)
-    residual = windows.residual if judged is None else judged.residual
-    loops = open_loop(bench, [start, start if judged is None else judged.hypothesis])
-    return Gap(
-        before,
-        after,
-        min(nulls, after),
-        nulls,
-        float(np.sqrt((windows.residual**2).mean())),
-        float(np.sqrt((residual**2).mean())),
-        *loops,
-    )
+    return Chi2(*held_out_chi2(bench, judged), nulls)
 
 
 def refits(bench: Bench, base: Hypothesis, final: Judged | None) -> tuple[Refit, ...]:

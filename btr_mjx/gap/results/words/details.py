@@ -1,13 +1,26 @@
 """What else there is to say of a verdict, one sentence a line, as part of result.json and of the page.
 
-Every function returns text and computes nothing else.
+Every function returns words for numbers of result.json and computes nothing else.
 """
 
 from collections.abc import Mapping
 from typing import Any
 
 from btr_mjx.gap.effects import EACH_MEMBER
-from btr_mjx.gap.results.words.effects import effect_at_place
+from btr_mjx.gap.results.diagnosis import NOISE_REACHED
+from btr_mjx.gap.results.words.effects import effect_at_place, hypotheses_of, together_in_words
+from btr_mjx.gap.results.words.levels import (
+    MISFIT,
+    MISFIT_AFTER,
+    SCALE,
+    Levels,
+    joint_claims,
+    joint_rows,
+    misfit_in_words,
+    off_by,
+)
+from btr_mjx.gap.results.words.mended import mended_statement
+from btr_mjx.gap.results.words.statements import UNSAID, Claim, Statement
 from btr_mjx.gap.results.words.terms import (
     REASON_NOT_NAMED,
     as_float,
@@ -19,9 +32,10 @@ from btr_mjx.gap.results.words.verdict import (
     MOST_LISTED,
     capitalised,
     effect_and_place,
-    gap_levels,
     list_rivals,
     model_beside,
+    off_calibration,
+    off_statement,
     rivals_of,
     share_in_words,
 )
@@ -37,97 +51,106 @@ def detail_sentences(result: Mapping[str, Any]) -> list[str]:
       result: content of result.json.
 
     Returns:
-      Where simulation and data disagree, the gap before and after, predictions beside two simple predictors, the next
-      best candidate, and what is equivalent.
+      Where simulation and data disagree, the misfit before and after, what the mended model is, the next best
+      candidate, and what is equivalent.
     """
+    return [one.text for one in detail_statements(result)]
+
+
+def detail_statements(result: Mapping[str, Any]) -> list[Statement]:
+    """The same with what each sentence claims."""
     verdict = result.get("verdict")
     where = result.get("where") if verdict == "effect" else None
-    lines = [
-        f"Simulation and data disagree most at {where}." if where else "",
-        _gap(result),
-        _predictions(result),
+    off = [] if result.get("before") or verdict == "none" else off_calibration(result)
+    every = [
+        Statement(f"Simulation and data disagree most at {where}." if where else ""),
+        _misfit(result),
+        _finer_step(result),
         _time_step(result),
-        f"Before: {result['before']['sentence']}" if result.get("before") else "",
-        _whole_recordings(result) if verdict == "effect" else "",
-        "" if result.get("before") else _calibration(result),
-        _runner_up(result) if verdict == "effect" else "",
-        _best_candidate(result) if verdict == "unexplained" else "",
-        _equivalent(result),
+        Statement(f"Before: {result['before']['sentence']}" if result.get("before") else ""),
+        _whole_recordings(result),
+        mended_statement(result),
+        off_statement(off) if off else UNSAID,
+        UNSAID if result.get("before") else _calibration(result),
+        _runner_up(result) if verdict == "effect" else UNSAID,
+        _best_candidate(result) if verdict == "unexplained" else UNSAID,
+        Statement(_equivalent(result)),
     ]
-    return [line for line in lines if line]
+    return [one for one in every if one.text]
 
 
-def _predictions(result: Mapping[str, Any]) -> str:
-    """Errors of predictions over a short horizon."""
-    of, unit = result.get("predictions") or {}, (result.get("gap") or {}).get("open_loop_unit", "rad")
-    values = [as_float(of.get(key)) for key in ("believed", "mended", "constant_velocity")]
-    if of.get("horizon") is None or None in values or _is_mixed(result):
-        return ""
-    believed, mended, steady = (error_in_words(value or 0.0, unit, 3) for value in values)
-    is_mended = result.get("verdict") == "effect" or result.get("calibration")
-    own = f", the mended one by {mended}" if is_mended else ""
-    return (
-        f"Predicted over {of['horizon']:g} s, positions of held-out recordings are off by {believed} "
-        f"with {model_beside(result)}{own}, with constant velocity by {steady} (root mean square of all joints)."
+def _misfit(result: Mapping[str, Any]) -> Statement:
+    """How far predictions are off, on the one scale."""
+    levels = Levels.of(result)
+    if levels.before is None or levels.unit != "noise":
+        return UNSAID
+    before, after, steady = map(misfit_in_words, (levels.before, levels.after, levels.constant_velocity))
+    ahead = f"{joint_rows(result)[0]['horizon']:g} s" if joint_rows(result) else "a short time"
+    of = f"The misfit of predictions over {ahead} on held-out recordings"
+    claims: dict[str, Claim] = {MISFIT: before}
+    words = f"is {before}"
+    if levels.after is not None:
+        claims |= {MISFIT_AFTER: after, "falls": bool(levels.falls)}
+        words = f"{'falls' if levels.falls else 'does not fall: it goes'} from {before} to {after}"
+    also = ""
+    if levels.constant_velocity is not None:
+        also, claims = f"; constant velocity has {steady}", claims | {"misfit of constant velocity": steady}
+    return Statement(f"{of} {words} ({SCALE}, root mean square over joints){also}.", claims)
+
+
+def _time_step(result: Mapping[str, Any]) -> Statement:
+    """A time step of the model that hides more than noise does."""
+    sizes = [(as_float(row.get("time_step")), as_float(row.get("noise")), row) for row in joint_rows(result)]
+    coarse = [(step / noise, row) for step, noise, row in sizes if step and noise and step > NOISE_REACHED * noise]
+    if not coarse:
+        return UNSAID
+    _, row = max(coarse, key=lambda one: one[0])
+    step, noise = off_by(row, "time_step"), off_by(row, "noise")
+    return Statement(
+        f"The time step of the model is coarse: it alone makes {step} at {row['joint']}, noise {noise}, and what is "
+        "smaller cannot be told; take a smaller one.",
+        joint_claims(row, "time_step", "noise"),
     )
 
 
-def _time_step(result: Mapping[str, Any]) -> str:
+def _finer_step(result: Mapping[str, Any]) -> Statement:
     """A time step of the search that is finer than the model's."""
     of = result.get("timestep") or {}
     own, finer = as_float(of.get("model")), as_float(of.get("search"))
     if own is None or finer is None or finer >= own:
-        return ""
-    return (
+        return UNSAID
+    return Statement(
         f"The time step of the model, {1e3 * own:g} ms, is too coarse: the search and mended.xml have "
         f"{1e3 * finer:g} ms."
     )
 
 
-def _is_mixed(result: Mapping[str, Any]) -> bool:
-    """Whether a mean over all joints would add radians and metres, where errors by joint are there to be told."""
-    return "and" in str((result.get("gap") or {}).get("open_loop_unit")) and bool(result.get("joint_errors"))
-
-
-def _calibration(result: Mapping[str, Any]) -> str:
-    """What the mended model has beside what was named."""
-    found = list(result.get("calibration") or [])
+def _calibration(result: Mapping[str, Any]) -> Statement:
+    """What the mended model has within the usual tolerances."""
+    off = [effect_and_place(row) for row in off_calibration(result)]
+    found = [row for row in result.get("calibration") or [] if effect_and_place(row) not in off]
     if not found:
-        return ""
+        return UNSAID
     each = [f"{effect_at_place(row)} ({parameters_in_words(row)})" for row in found[:MOST_LISTED]]
     more = f" and {len(found) - MOST_LISTED} more, listed in result.json" if len(found) > MOST_LISTED else ""
-    return f"The mended model is calibrated within the usual tolerances: {', '.join(each)}{more}."
+    return Statement(f"The mended model is calibrated within the usual tolerances: {', '.join(each)}{more}.")
 
 
-def _gap(result: Mapping[str, Any]) -> str:
-    before, after, noise = gap_levels(result)
-    is_mended = result.get("verdict") == "effect"
-    if before is None or (after is None and is_mended):
-        return ""
-    words = f"is {format_number(before)}"
-    if is_mended and after != before and after is not None:
-        words = f"{'shrinks' if after < before else 'grows'} from {format_number(before)} to {format_number(after)}"
-    unit = (result.get("gap") or {}).get("unit")
-    leaves = f"; noise leaves {format_number(noise)}" if noise else ""
-    return f"The held-out gap {words}{f' {unit}' if unit else ''}{leaves}."
-
-
-def _whole_recordings(result: Mapping[str, Any]) -> str:
+def _whole_recordings(result: Mapping[str, Any]) -> Statement:
     """How well whole recordings are followed."""
-    gap = result.get("gap") or {}
-    start, end = as_float(gap.get("open_loop_before")), as_float(gap.get("open_loop_after"))
-    if start is None or end is None or _is_mixed(result):
-        return ""
-    unit = gap.get("open_loop_unit", "rad")
-    first, last = (error_in_words(value, unit, 3) for value in (start, end))
-    whole = "over whole held-out recordings, simulated from their first sample"
-    noise = as_float(gap.get("open_loop_noise"))
-    leaves = f"; the sensors' noise alone makes {error_in_words(noise, unit, 3)}" if noise else ""
+    of = result.get("open_loop") or {}
+    start, end, unit = as_float(of.get("before")), as_float(of.get("after")), str(of.get("unit"))
+    if start is None or end is None or "and" in unit:
+        return UNSAID
+    first, last = (error_in_words(value, unit) for value in (start, end))
+    whole = "The mean position error over whole held-out recordings, simulated from their first sample,"
+    claims: dict[str, Claim] = {"open loop": first, "open loop after": last}
     if end < start:
-        return f"The mean position error {whole}, falls from {first} to {last}{leaves}."
-    return (
-        f"The mean position error {whole}, is {first} without and {last} with it{leaves}: where small differences "
-        "grow, a motion can be followed over short stretches only."
+        return Statement(f"{whole} falls from {first} to {last}.", claims)
+    return Statement(
+        f"{whole} is {first} with {model_beside(result)} and {last} with the mended one: where small differences grow, "
+        "a motion can be followed over short stretches only.",
+        claims,
     )
 
 
@@ -136,32 +159,43 @@ def _alone(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return [row for row in result.get("ranking") or [] if not row.get("beside")]
 
 
-def _runner_up(result: Mapping[str, Any]) -> str:
+def _runner_up(result: Mapping[str, Any]) -> Statement:
     same = {effect_and_place(effect) for effect in result.get("effects") or []}
     named = [row for row in _alone(result) if effect_and_place(row) in same]
-    rest = [row for row in _alone(result) if effect_and_place(row) not in same]
-    # What was tried in one hypothesis has one score, and a name may be what is left of the best one.
-    together = {row.get("score") for row in (*named, *_alone(result)[:1])}
-    others = [row for row in rest if not row.get("equivalent") and row.get("score") not in together]
+    others = [
+        rows
+        for rows in hypotheses_of(_alone(result))
+        if not any(row.get("equivalent") or effect_and_place(row) in same for row in rows)
+    ]
+    # A name may be what is left of the best hypothesis of several effects, which is not its rival.
+    best, top = (as_float(rows[0].get("score")) if rows else None for rows in (named, _alone(result)[:1]))
+    others = [rows for rows in others if not (len(rows) > 1 and as_float(rows[0].get("score")) == top)]
     if not others:
-        return ""
-    best, second = (as_float(named[0].get("score")) if named else None), as_float(others[0].get("score"))
+        return UNSAID
+    second, what = as_float(others[0][0].get("score")), together_in_words(others[0])
     if best is None or second is None or best <= 0:
-        return f"Runner-up: {effect_at_place(others[0])}."
+        return Statement(f"Runner-up: {what}.")
+    if second > best:
+        return Statement(
+            f"{capitalised(what)} scores more and may not be named: it gains too little on held-out recordings, or "
+            "errors of calibration explain as much."
+        )
     share = second / best
     how = "far behind" if share < 0.6 else "behind" if share < 0.9 else "close behind"
-    first = "The next best that is not equivalent" if any(row.get("equivalent") for row in rest) else "Runner-up"
-    return f"{first}: {effect_at_place(others[0])}, {how} ({100 * max(share, 0):.0f} % of the score)."
+    alike = any(row.get("equivalent") and effect_and_place(row) not in same for row in _alone(result))
+    first = "The next best that is not equivalent" if alike else "Runner-up"
+    said = f"{100 * max(share, 0):.0f} %"
+    return Statement(f"{first}: {what}, {how} ({said} of the score).", {f"score of {what}": said})
 
 
-def _best_candidate(result: Mapping[str, Any]) -> str:
+def _best_candidate(result: Mapping[str, Any]) -> Statement:
     """The candidate that comes nearest where nothing is named."""
-    rows = _alone(result)
+    rows = next(iter(hypotheses_of(_alone(result))), [])
     score, share = (as_float(rows[0].get("score")) if rows else None), as_float(result.get("share"))
     if score is None or score <= 0:
-        return ""
+        return UNSAID
     part = f" explains {share_in_words(share)} of the unknown force and" if share is not None and share > 0 else ""
-    return f"The best candidate, {effect_at_place(rows[0])},{part} leaves too much to be named."
+    return Statement(f"The best candidate, {together_in_words(rows)},{part} leaves too much to be named.")
 
 
 def _absent_members(result: Mapping[str, Any], other: Mapping[str, Any]) -> str:

@@ -3,7 +3,7 @@
 Every function returns text and computes nothing else.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -103,6 +103,38 @@ def place_in_words(label: str) -> str:
 def effect_at_place(row: Mapping[str, Any]) -> str:
     """Effect and place of an entry of results, in words."""
     return f"{effect_title(str(row['effect']))} at {place_in_words(str(row['location']))}"
+
+
+def quantity_at_place(row: Mapping[str, Any]) -> str:
+    """What an entry of calibration changes, in words, such as "the mass of body hand"."""
+    own, place = words_of(str(row["effect"])), place_in_words(str(row["location"]))
+    what = own.grows or own.moves or own.title
+    return f"{what} of {place}" if own.grows in ("mass", "rotor inertia") else f"{what} at {place}"
+
+
+def together_in_words(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Effects that were tried as one hypothesis, such as "dry friction and backlash at all joints, together"."""
+    if len(rows) == 1:
+        return effect_at_place(rows[0])
+    places = {str(row["location"]) for row in rows}
+    if len(places) == 1:
+        titles = enumerated([effect_title(str(row["effect"])) for row in rows])
+        return f"{titles} at {place_in_words(*places)}, together"
+    return f"{enumerated([effect_at_place(row) for row in rows])}, together"
+
+
+def enumerated(names: Sequence[str]) -> str:
+    """Names as people list them, such as "a, b and c"."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+
+
+def hypotheses_of(ranking: Sequence[Mapping[str, Any]]) -> list[list[Mapping[str, Any]]]:
+    """Rows of a ranking by hypothesis: effects that were tried at once, and have one score, are one entry."""
+    out: dict[Any, list[Mapping[str, Any]]] = {}
+    for i, row in enumerate(ranking):
+        together = tuple(row.get("together") or ())
+        out.setdefault((together, tuple(row.get("beside") or ())) if together else i, []).append(row)
+    return list(out.values())
 
 
 def hypothesis_in_words(name: str) -> str:

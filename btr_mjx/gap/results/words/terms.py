@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from btr_mjx.gap.effects import EACH_MEMBER
-from btr_mjx.gap.results.words.effects import member_of
+from btr_mjx.gap.results.words.effects import member_of, words_of
 
 _FEW = 3
 """So many numbers of the members of a group are written out in a sentence, at most."""
@@ -57,6 +57,12 @@ def format_number(value: float | None, digits: int = 3) -> str:
     return f"{mantissa}·10^{int(exponent)}".replace("-", "−")
 
 
+def score_in_words(score: Any, best: float) -> str:
+    """A score in per cent of the best one's; a dash where either is not known."""
+    value = as_float(score)
+    return "–" if value is None or not best > 0 else format_number(100 * value / best)
+
+
 def in_reading_unit(value: Any, unit: str) -> tuple[Any, str]:
     """A position error, or an array of them, in degrees or millimetres, with the unit; others as they are."""
     if unit == "rad":
@@ -64,10 +70,10 @@ def in_reading_unit(value: Any, unit: str) -> tuple[Any, str]:
     return (1000 * value, "mm") if unit == "m" else (value, unit)
 
 
-def error_in_words(value: float, unit: str, digits: int = 2) -> str:
+def error_in_words(value: float, unit: str) -> str:
     """A position error such as "1.2°" or "3.4 mm"."""
     shown, unit = in_reading_unit(value, unit)
-    return f"{format_number(float(shown), digits)}{'' if unit == '°' else ' '}{unit}"
+    return f"{format_number(float(shown))}{'' if unit == '°' else ' '}{unit}"
 
 
 def format_estimate(parameter: Mapping[str, Any]) -> str:
@@ -154,6 +160,14 @@ def parameters_in_words(effect: Mapping[str, Any]) -> str:
     return ", ".join(
         f"{parameter_in_words(name)} {format_estimate(in_percent(name, p))}" for name, p in parameters.items()
     )
+
+
+def size_in_words(effect: Mapping[str, Any]) -> str:
+    """How large an effect is, such as "0.6 kg": its number where there is one or one counts, else all of them."""
+    name, first = next(iter(effect["parameters"].items()))
+    if len(effect["parameters"]) > 1 and not words_of(str(effect["effect"])).grows:
+        return parameters_in_words(effect)
+    return format_estimate(in_percent(name, first))
 
 
 def parameter_in_words(name: str) -> str:

@@ -1,26 +1,18 @@
 """The verdict of a diagnosis in at most two sentences, which are part of result.json and of the page.
 
-Every function returns text and computes nothing else; `details` says the rest.
+Every function returns words for numbers of result.json and computes nothing else; `details` says the rest.
 """
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from btr_mjx.gap.effects import EACH_MEMBER
+from btr_mjx.gap.results.records import BEYOND_TOLERANCE
 from btr_mjx.gap.results.words.changes import SAME_REST, UNCHANGED, change_in_words
-from btr_mjx.gap.results.words.effects import effect_at_place, place_in_words
-from btr_mjx.gap.results.words.terms import (
-    as_float,
-    error_in_words,
-    format_number,
-    parameters_in_words,
-)
-
-TIMES_NOISE = 3.0
-"""A held-out gap beyond which the rest is not noise, in units of what simulated nulls leave."""
-
-_LITTLE = 1.3
-"""The same beyond which more than noise is left."""
+from btr_mjx.gap.results.words.effects import effect_at_place, place_in_words, quantity_at_place
+from btr_mjx.gap.results.words.levels import Levels, joint_claims, joint_rows, off_by, worst_joint
+from btr_mjx.gap.results.words.statements import UNSAID, Claim, Statement, joined
+from btr_mjx.gap.results.words.terms import as_float, format_number, parameters_in_words, size_in_words
 
 MOST_LISTED = 3
 """Effects and candidates that a sentence lists, at most; the others are counted."""
@@ -37,17 +29,25 @@ def verdict_sentence(result: Mapping[str, Any]) -> str:
     Returns:
       What is missing where, how large it is, and how much of the disagreement on held-out data it explains.
     """
+    return joined(verdict_statements(result))
+
+
+def verdict_statements(result: Mapping[str, Any]) -> list[Statement]:
+    """The same with what each sentence claims."""
     verdict, effects = result.get("verdict"), list(result.get("effects") or [])
     if result.get("before"):
-        return _change_sentence(result, effects)
+        return _change_statements(result, effects)
     if verdict == "effect" and effects:
-        return f"{_named(result, effects)}{_no_use(result)} {_explained(result)}".strip()
+        return [_named(result, effects), _explained(result)]
     if verdict == "none":
-        nothing = "Nothing need be missing" if result.get("equivalent") else "Nothing is missing"
-        others = list_rivals(rivals_of(result))
-        more = f" {capitalised(others)} is not ruled out." if others else ""
-        return f"{nothing}: simulation and data agree within the noise and the usual tolerances.{more}"
-    return f"Something is missing that none of the known effects explains{_looks(result)}"
+        return _nothing(result)
+    text = f"Something is missing that none of the known effects explains{_looks(result)}"
+    return [Statement(text, _not_reached(result) | {"something is missing": True})]
+
+
+def _not_reached(result: Mapping[str, Any]) -> dict[str, Claim]:
+    """The claim that more than noise is left, where noise is known."""
+    return {} if Levels.of(result).noise_reached is None else {"noise reached": False}
 
 
 def _looks(result: Mapping[str, Any]) -> str:
@@ -57,19 +57,75 @@ def _looks(result: Mapping[str, Any]) -> str:
     return f"{where}." + (f" It looks like this: {looks[0].rstrip('.')}." if looks else "")
 
 
-def _change_sentence(result: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> str:
+def _nothing(result: Mapping[str, Any]) -> list[Statement]:
+    """Nothing is missing: what the numbers say of noise, of calibration, and of candidates."""
+    levels, off = Levels.of(result), off_calibration(result)
+    others = list_rivals(rivals_of(result))
+    nothing = "Nothing need be missing" if result.get("equivalent") else "Nothing is missing"
+    first: dict[str, Claim] = {"something is missing": False}
+    if levels.noise_reached:
+        within = "the noise" if off else "the noise and the usual tolerances"
+        said = Statement(
+            f"{nothing}: simulation and data agree within {within}{_once_set_right(off)}.",
+            first | {"noise reached": True},
+        )
+    elif levels.noise_reached is None:
+        said = Statement(f"{nothing}: no effect explains more than the usual tolerances do.", first)
+    else:
+        row = worst_joint(joint_rows(result), "before" if levels.after is None else "after")
+        assert row is not None
+        key = "before" if levels.after is None else "after"
+        said = Statement(
+            f"No effect is missing beyond the usual tolerances, though more than noise is left: {_ahead(row)}, "
+            f"{row['joint']} is off by {off_by(row, key)}, where noise and the time step make {off_by(row, 'floor')}.",
+            first | {"noise reached": False} | joint_claims(row, key, "floor"),
+        )
+    if off:
+        return [said, off_statement(off)]
+    return [said, Statement(f"{capitalised(others)} is not ruled out.")] if others else [said]
+
+
+def _once_set_right(off: Sequence[Mapping[str, Any]]) -> str:
+    return " once calibration is set right" if off else ""
+
+
+def off_calibration(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Calibration that is farther off than robots usually are, the farthest first."""
+    rows = [row for row in result.get("calibration") or [] if (as_float(row.get("tolerances")) or 0) > BEYOND_TOLERANCE]
+    return sorted(rows, key=lambda row: -row["tolerances"])
+
+
+def off_statement(off: Sequence[Mapping[str, Any]]) -> Statement:
+    """Numbers of the model that are wrong by more than calibration usually leaves."""
+    each = []
+    claims: dict[str, Claim] = {}
+    for row in off[:MOST_LISTED]:
+        size = f"{format_number(row['tolerances'], 2)} times its tolerance"
+        what = f"{quantity_at_place(row)} is off by {size_in_words(row)} ({size})"
+        each.append(what)
+        claims[f"off: {effect_at_place(row)}"] = size
+    more = f" and {len(off) - MOST_LISTED} more, listed in result.json" if len(off) > MOST_LISTED else ""
+    return Statement(f"{capitalised('; '.join(each))}{more}.", claims)
+
+
+def _change_statements(result: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> list[Statement]:
     """What has changed since the recordings before."""
+    levels = Levels.of(result)
     if result.get("verdict") == "effect" and effects:
-        said = change_in_words(effects, MOST_LISTED)
-        return f"{said}{_no_use(result)} {_explained(result)}".strip()
+        text, claims = _no_use(result)
+        return [Statement(f"{change_in_words(effects, MOST_LISTED)}{text}", claims), _explained(result)]
     if result.get("verdict") == "none":
-        return SAME_REST if _leaves_much(result) else UNCHANGED
+        if levels.noise_reached:
+            return [Statement(UNCHANGED, {"noise reached": True})]
+        return [Statement(SAME_REST, _not_reached(result))]
     if result["before"].get("verdict") == "unexplained":
-        return f"What has changed cannot be told: no known effect explains the recordings before either{_looks(result)}"
-    return f"Something has changed that none of the known effects explains{_looks(result)}"
+        text = f"What has changed cannot be told: no known effect explains the recordings before either{_looks(result)}"
+    else:
+        text = f"Something has changed that none of the known effects explains{_looks(result)}"
+    return [Statement(text, _not_reached(result))]
 
 
-def _named(result: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> str:
+def _named(result: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> Statement:
     each = []
     for effect in effects[:MOST_LISTED]:  # the numbers say that each member has its own
         place = {**effect, "location": str(effect["location"]).removeprefix(EACH_MEMBER)}
@@ -79,19 +135,25 @@ def _named(result: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> s
     if len(effects) > MOST_LISTED:
         more = len(effects) - MOST_LISTED
         each.append(f"{more} more effect{'s' if more > 1 else ''}, listed in the table")
-    if _leaves_much(result):
-        return f"A part of what is missing is {' and '.join(each)}"
-    return f"The missing effect{'s are' if len(effects) > 1 else ' is'} {' and '.join(each)}"
+    levels = Levels.of(result)
+    is_part = levels.noise_reached is False
+    claims: dict[str, Claim] = {"something is missing": True}
+    if is_part:
+        claims["noise reached"] = False
+    subject = f"The missing effect{'s are' if len(effects) > 1 else ' is'}"
+    subject = "A part of what is missing is" if is_part else subject
+    use, more_claims = _no_use(result)
+    return Statement(f"{subject} {' and '.join(each)}{use}", claims | more_claims)
 
 
-def _no_use(result: Mapping[str, Any]) -> str:
+def _no_use(result: Mapping[str, Any]) -> tuple[str, dict[str, Claim]]:
     """The end of the first sentence: whether the mended model predicts no better than two simple predictors."""
-    of = result.get("predictions") or {}
-    believed, mended, steady = (as_float(of.get(key)) for key in ("believed", "mended", "constant_velocity"))
-    if believed is None or mended is None or steady is None or mended < min(believed, steady):
-        return "."
-    rival = model_beside(result) if believed <= steady else "constant velocity"
-    return f", but {rival} predicts held-out recordings no worse: do not predict with the mended model."
+    levels = Levels.of(result)
+    if levels.is_of_use:
+        return ".", {}
+    rival = "constant velocity" if levels.falls else model_beside(result)
+    said = f", but {rival} predicts held-out recordings no worse: do not predict with the mended model."
+    return said, {"mended model is of use": False}
 
 
 def model_beside(result: Mapping[str, Any]) -> str:
@@ -99,51 +161,46 @@ def model_beside(result: Mapping[str, Any]) -> str:
     return "the model from before" if result.get("before") else "the believed model"
 
 
-def gap_levels(result: Mapping[str, Any]) -> tuple[float | None, float | None, float | None]:
-    """The held-out gap before and after, and what noise leaves."""
-    gap = result.get("gap") or {}
-    before, after, nulls, floor = (as_float(gap.get(key)) for key in ("before", "after", "nulls", "noise_floor"))
-    return before, after, nulls if nulls else floor
-
-
-def _leaves_much(result: Mapping[str, Any]) -> bool:
-    _, after, noise = gap_levels(result)
-    return after is not None and bool(noise) and after > TIMES_NOISE * noise  # type: ignore[operator]
-
-
-def _explained(result: Mapping[str, Any]) -> str:
+def _explained(result: Mapping[str, Any]) -> Statement:
     """How much of the disagreement on held-out data the named effects explain, and what the rest is."""
-    before, after, noise = gap_levels(result)
-    if before is None or after is None:
-        return ""
+    levels = Levels.of(result)
+    if levels.falls is None:
+        return UNSAID
     many = len(result.get("effects") or []) > 1
     it, explains = ("They", "explain") if many else ("It", "explains")
-    unit = str((result.get("gap") or {}).get("unit") or "")
-    if after >= before:
-        return f"On {_UNUSED} the gap does not fall with {'them' if many else 'it'}: do not rely on this name."
-    if "Delta_fitness" in unit:
-        return f"{it} {explains} {share_in_words(1 - after / before)} of Delta_fitness on trials that were not used."
-    if not noise:
-        return f"{it} {explains} {share_in_words(1 - after / before)} of the disagreement on {_UNUSED}."
-    if before <= _LITTLE * noise:
-        return f"On {_UNUSED} the disagreement is close to the noise with and without {'them' if many else 'it'}."
-    share = (before - after) / (before - min(noise, after))
-    is_all = after <= _LITTLE * noise
-    rest = "the rest is noise" if is_all else "more than noise is left"
-    return f"{it} {explains} {share_in_words(share, is_all)} of the disagreement on {_UNUSED}{_joint(result)}; {rest}."
+    if not levels.falls:
+        text = f"On {_UNUSED} predictions are no better with {'them' if many else 'it'}: do not rely on this name."
+        return Statement(text, {"falls": False})
+    if levels.unit != "noise":
+        share = share_in_words(levels.explained or 0.0)
+        return Statement(f"{it} {explains} {share} of Delta_fitness on trials that were not used.", {"share": share})
+    if levels.noise_before:
+        text = f"On {_UNUSED} predictions are close to the noise with and without {'them' if many else 'it'}."
+        return Statement(text, {"falls": True, "noise reached": True, "believed model reaches noise": True})
+    share = share_in_words(levels.explained or 0.0, bool(levels.noise_reached))
+    joint, claims = _joint(result)
+    rest = "the rest is noise"
+    if not levels.noise_reached:
+        worst = worst_joint(joint_rows(result), "after")
+        rest = "more than noise is left" + (f", most of it at {worst['joint']}" if worst is not None else "")
+    claims = claims | {"share": share, "falls": True, "noise reached": bool(levels.noise_reached)}
+    return Statement(f"{it} {explains} {share} of the disagreement on {_UNUSED}{joint}; {rest}.", claims)
 
 
-def _joint(result: Mapping[str, Any]) -> str:
+def _ahead(row: Mapping[str, Any]) -> str:
+    return f"predicted over {row['horizon']:g} s"
+
+
+def _joint(result: Mapping[str, Any]) -> tuple[str, dict[str, Claim]]:
     """Errors of the named joint, else of the one that is worst beside its noise, before and after."""
-    rows = result.get("joint_errors") or []
-    if not rows:
-        return ""
+    rows = joint_rows(result)
     named = {place_in_words(str(effect["location"])) for effect in result.get("effects") or []}
-    own = [row for row in rows if row["joint"] in named] or rows
-    row = max(own, key=lambda row: row["before"] / max(row["noise"], 1e-300))
-    before, after, noise = (error_in_words(row[key], row["unit"]) for key in ("before", "after", "noise"))
-    ahead = f"predicted over {row['horizon']:g} s, {row['joint']} is off by {after} instead of {before}"
-    return f": {ahead}, where noise makes {noise}"
+    row = worst_joint([row for row in rows if row["joint"] in named] or rows, "before")
+    if row is None:
+        return "", {}
+    before, after, floor = (off_by(row, key) for key in ("before", "after", "floor"))
+    off = f"{row['joint']} is off by {after} instead of {before}, where noise and the time step make {floor}"
+    return f": {_ahead(row)}, {off}", joint_claims(row, "before", "after", "floor")
 
 
 def share_in_words(share: float, is_all: bool = False) -> str:
