@@ -205,7 +205,7 @@ BAD: list[tuple[str, Callable[[Path], None], str]] = [
     ("unknown joint", edit_table(lambda t: t.rename({"qpos/hip": "qpos/hipp"})), r"one\.csv.*'qpos/hipp'.*'qpos/hip'"),
     (
         "unknown actuator",
-        edit_table(lambda t: t.rename({"ctrl/hip_motor": "ctrl/hip"})),
+        edit_table(lambda t: t.rename({"ctrl/hip_motor": "ctrl/tail"})),
         r"no actuator.*ctrl/hip_motor",
     ),
     ("missing time", edit_table(lambda t: t.drop("time")), r"no column 'time'"),
