@@ -38,7 +38,7 @@ def engine_of(folder: Path) -> str:
 
 
 def test_a_short_run_is_not_worth_compiling_for(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    found = run(tmp_path / "auto")
+    found = run(tmp_path / "auto", "--progress")
     assert "native: about" in capsys.readouterr().err
     assert engine_of(tmp_path / "auto") == "native"
     assert found == run(tmp_path / "asked", "--engine=native")

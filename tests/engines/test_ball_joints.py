@@ -197,8 +197,8 @@ def test_what_is_not_computed_is_refused(rng: np.random.Generator) -> None:
         LanesStepper(model_of(driven))
     uneven = model_of(CASES["stops"])
     uneven.dof_damping[-1] = 7
-    with pytest.raises(UnsupportedModel, match="damping that differs between the axes"):
+    with pytest.raises(UnsupportedModel, match="damping and armature that differ between the axes"):
         LanesStepper(uneven)
     stepper = LanesStepper(model_of(CASES["stops"]), ["dof_frictionloss"])
-    with pytest.raises(UnsupportedModel, match=r"dof_frictionloss of .* a ball joint with a limit"):
+    with pytest.raises(UnsupportedModel, match=r"friction loss of a ball joint with a limit .* in some of the worlds"):
         stepper.pack({"dof_frictionloss": np.ones((1, 2, uneven.nv))})

@@ -79,7 +79,7 @@ def test_what_mjx_would_ignore_is_refused() -> None:
             f"<actuator>{actuator}</actuator></mujoco>"
         )
 
-    with pytest.raises(UnsupportedModel, match="actuator delay"):
+    with pytest.raises(UnsupportedModel, match="actuator_delay"):
         MjxStepper(model(actuator="<motor joint='j' delay='0.01' nsample='20'/>"), frozenset())
     with pytest.raises(UnsupportedModel, match="imax"):
         MjxStepper(model(actuator="<pid joint='j' kp='1' ki='1' imax='2' input='pos'/>"), frozenset())

@@ -95,7 +95,10 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
 
 
 def cut_horizons(data: PreparedData, horizon: float, samples: float = np.inf) -> Horizon:
-    """Cut recordings into simulations over a horizon [s], one behind the other.
+    """Cut recordings into simulations over a horizon [s], as many as fit one behind the other.
+
+    Where there is room, the first one begins where the smoothed state has samples on either side: at the end of a
+    recording a polynomial is extrapolated, whose velocity errs by many times the noise. So they may overlap a little.
 
     Args:
       data: recordings.
@@ -105,7 +108,11 @@ def cut_horizons(data: PreparedData, horizon: float, samples: float = np.inf) ->
     interval = float(np.median(np.concatenate([np.diff(r.time) for r in data.recordings])))
     count = max(1, round(min(horizon / interval, max(len(r.time) for r in data.recordings))))
     lengths = [min(count, len(r.time) - 1) for r in data.recordings]
-    firsts = [np.arange(0, len(r.time) - n, n + 1) for r, n in zip(data.recordings, lengths, strict=True)]
+    lasts = [len(r.time) - 1 - n for r, n in zip(data.recordings, lengths, strict=True)]
+    firsts = [
+        np.linspace(min(data.span.half, last), last, last // (n + 1) + 1).astype(int)
+        for last, n in zip(lasts, lengths, strict=True)
+    ]
     total = sum(len(first) * (n + 1) for first, n in zip(firsts, lengths, strict=True))
     every, passed = max(1, int(np.ceil(total / samples))), 0
     recordings, segments, target = [], [], []

@@ -125,15 +125,18 @@ def misfit_of(errors: Sequence[JointError]) -> Misfit | None:
     )
 
 
-def verdict_of(is_found: bool, is_left: bool, misfit: Misfit | None) -> Verdict:
+def verdict_of(is_found: bool, is_left: bool, misfit: Misfit | None, chi2: "Chi2 | None" = None) -> Verdict:
     """The verdict.
 
     Args:
       is_found: whether effects were found that may be named.
       is_left: whether something is left that they do not explain.
-      misfit: of held-out recordings; what predicts them down to the noise leaves nothing.
+      misfit: of held-out recordings.
+      chi2: of held-out recordings; what predicts them down to the noise, and leaves no more than nulls do, leaves
+        nothing.
     """
-    if is_left and not (misfit is not None and misfit.noise_reached):
+    at_noise = misfit is not None and misfit.noise_reached and (chi2 is None or chi2.after <= chi2.nulls)
+    if is_left and not at_noise:
         return "unexplained"
     return "effect" if is_found else "none"
 
@@ -233,7 +236,7 @@ class Diagnosis:
     @property
     def verdict(self) -> Verdict:
         """What the numbers say, see `verdict_of`."""
-        return verdict_of(bool(self.found), bool(self.unexplained), self.misfit)
+        return verdict_of(bool(self.found), bool(self.unexplained), self.misfit, self.chi2)
 
     @property
     def effects(self) -> tuple[NamedEffect, ...]:

@@ -107,7 +107,7 @@ def ripple(q: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
 
 
 def test_a_force_of_no_known_kind_is_not_named_and_may_be_a_table():
-    found = diagnosis(4, force=ripple, residual=True)
+    found = diagnosis(4, test=4, force=ripple, residual=True)
     assert found.verdict == "unexplained"
     assert found.effects == ()
     assert "shoulder" in " ".join(found.unexplained)

@@ -1,5 +1,7 @@
 """Errors of predictions by joint."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -64,7 +66,7 @@ def test_what_noise_alone_makes_is_what_a_true_model_errs_by() -> None:
         sigma = np.array([size, 10 * size])
         noisy = true + sigma * np.random.default_rng(1).normal(size=true.shape)
         recording = make_recording({"time": time, "qpos/j": noisy[:, 0], "qvel/j": noisy[:, 1]}, model, "here", "swing")
-        prepared = prepare([recording], "linear", sigma, Span(5))
+        prepared = prepare([replace(recording, interpolation="linear")], sigma, Span(5))
         believed = Hypothesis((), ())
         (errors,), _ = horizon_errors(prepared, [believed])
         made = noise_errors(prepared, believed)

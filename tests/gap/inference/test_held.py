@@ -49,15 +49,14 @@ def recording(seed: int, believed: mujoco.MjModel) -> Recording:
             data.ctrl[:] = sent[max(0, int(np.floor((t + (i + 0.5) * STEP - DELAY) / INTERVAL)))]
             mujoco.mj_step(model, data)
     split = "fit" if seed < 3 else "test"
-    return Recording(f"r{seed}", time, sent, states[:, :2], states[:, 2:], np.ones(2, bool), split, believed)
+    qpos, qvel, known = states[:, :2], states[:, 2:], np.ones(2, bool)
+    return Recording(f"r{seed}", time, sent, qpos, qvel, known, split, believed, interpolation="hold")
 
 
 @pytest.fixture(scope="module")
 def late() -> Dataset:
     believed = mujoco.MjModel.from_xml_string(XML)
-    return Dataset(
-        Path(), believed, Path("arm.xml"), XML, (), tuple(recording(seed, believed) for seed in range(5)), "hold"
-    )
+    return Dataset(Path(), believed, Path("arm.xml"), XML, (), tuple(recording(seed, believed) for seed in range(5)))
 
 
 @pytest.fixture(scope="module")

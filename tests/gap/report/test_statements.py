@@ -170,7 +170,9 @@ def check_no_two_sentences_disagree(diagnosis: Diagnosis, result: dict[str, Any]
     assert reached or not re.search(r"rest is noise|within the noise|close to the noise", everything)
     assert reached is not True or "more than noise" not in everything
     if diagnosis.verdict == "unexplained":
-        assert reached is not True
+        chi2 = diagnosis.chi2
+        assert not reached or (chi2 is not None and chi2.after > chi2.nulls)
+        assert ("too little to be seen" in text) == (reached is True)
         assert diagnosis.unexplained
     assert (diagnosis.verdict == "effect") == bool(diagnosis.effects)
     assert (*diagnosis.effects, *diagnosis.unnamed) == diagnosis.found

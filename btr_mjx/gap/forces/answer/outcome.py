@@ -47,29 +47,23 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
     """
     model, named = dataset.model, named_by_forces(found)
     is_left = bool(found.large.any()) or found.law is not None
-    errors = _errors(model, found)
-    verdict = verdict_of(bool(named), is_left, misfit_of(errors))
+    errors, chi2 = _errors(model, found), _chi2(found)
+    verdict = verdict_of(bool(named), is_left, misfit_of(errors), chi2)
     if verdict == "unexplained" and not predicts_better(*found.errors):
         # Beside the believed model: what was found follows held-out recordings no better, and is no model of the robot.
         named, found = (), replace(found, calibration=(), mended=found.base, errors=_unchanged(found.errors))
         errors = _errors(model, found)
     first, last = found.chain[0], found.chain[-1]
     shown = last if named else first
-    seen = found.side.stretches.seen
-    # In units of the noise of the dataset, whatever was estimated beside it.
-    floor = float(np.mean((last.variances.sensor / found.side.stretches.sigma**2)[seen]))
-    # Somebody pushes, time stamps jump: of a few stretches any mean is large.
-    before, after = (floor * float(np.median(own.chi2)) for own in found.held_out)
+    loops = _open_loop(found)
     disagreement = map_of_forces(model, found, shown)
     diagnosis = Diagnosis(
         found=named,
         ranking=ranking_by_forces(found.rounds),
-        steps=found.side.counter.steps,
-        seconds=seconds,
         unexplained=unexplained_words(model, found, disagreement) if is_left else (),
         joint_errors=errors,
-        open_loop=_open_loop(found),
-        chi2=Chi2(before, after, floor),
+        open_loop=loops,
+        chi2=chi2,
         calibration=_calibration(found),
         equivalent=alternatives_of(round_of(found, last.point.named[0][0].name)) if verdict == "effect" else (),
         disagreement=disagreement,
@@ -88,6 +82,8 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
         survivors=_survivors(found),
         notes=(*([_NOT_BORNE_OUT] if found.contradicted else []), *_of_drives(found)),
         joint_forces=joint_forces(found.side, first, shown),
+        steps=found.side.counter.steps,
+        seconds=seconds,
     )
     return without_late_log(diagnosis)
 
@@ -98,6 +94,15 @@ def _errors(model: mujoco.MjModel, found: SearchOutcome) -> tuple[JointError, ..
     about = found.test.stretches.data, found.mended, found.side.counter
     floor = noise_errors(*about), step_errors(*about)
     return joint_errors(model, before, None if found.mended is found.base else after, floor, steady)
+
+
+def _chi2(found: SearchOutcome) -> Chi2:
+    """chi^2 of held-out recordings; of a few stretches any mean is large: somebody pushes, time stamps jump."""
+    sensor, sigma = found.chain[-1].variances.sensor, found.side.stretches.sigma
+    # In units of the noise of the dataset, whatever was estimated beside it.
+    floor = float(np.mean((sensor / sigma**2)[found.side.stretches.seen]))
+    before, after = (floor * float(np.median(own.chi2)) for own in found.held_out)
+    return Chi2(before, after, floor)
 
 
 def _unchanged(errors: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

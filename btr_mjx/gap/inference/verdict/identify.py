@@ -141,21 +141,21 @@ def name_missing(
     (first, last), steady = horizon_errors(data, [base, mended], bench.counter)
     floor = noise_errors(data, mended, bench.counter), step_errors(data, mended, bench.counter)
     errors = joint_errors(model, first, None if final is None else last, floor, steady)
-    verdict = verdict_of(bool(named), is_left, misfit_of(errors))
+    chi2 = chi2_of(bench, final, check.floor(final))
+    verdict = verdict_of(bool(named), is_left, misfit_of(errors), chi2)
     said = named
     if named and verdict == "unexplained" and not predicts_better(first, last, steady):
         # What was found follows held-out recordings no better, and is no model of the robot.
         said, errors = [], joint_errors(model, first, None, floor, steady)
+        chi2 = chi2_of(bench, None, check.floor(None))
     told = said[-1] if said else None
     return Diagnosis(
         found=named_effects(bench, said, rounds, rng),
         ranking=ranking_of(rounds),
-        steps=bench.counter.steps,
-        seconds=time.monotonic() - begun + bench.counter.earlier,
         unexplained=check.words(final) if is_left else (),
         joint_errors=errors,
         open_loop=open_loop(bench, [base] if told is None else [base, told.hypothesis]),
-        chi2=chi2_of(bench, told, check.floor(told)),
+        chi2=chi2,
         equivalent=undecided(bench, rounds[0], verdict),
         disagreement=check.map(),
         believed=refits(bench, base, final),
@@ -169,11 +169,18 @@ def name_missing(
         windows=(len(bench.fit.windows), len(bench.test.windows), bench.fit.windows.k, bench.survey.span),
         survivors=survivors(bench, rounds, named),
         notes=time_step_notes(bench.fit.windows),
+        steps=bench.counter.steps,
+        seconds=time.monotonic() - begun + bench.counter.earlier,
     )
 
 
 def _predicts_worse(bench: Bench, judged: Judged) -> bool:
-    """Whether the model with what was named predicts recordings of either side worse than the believed one."""
+    """Whether the model with what was named predicts recordings of either side worse than the believed one.
+
+    Joints without encoders have no states from which to predict.
+    """
+    if not all(one.seen.all() for one in bench.dataset.recordings):
+        return False
     sides = (side.windows.data for side in (bench.fit, bench.test))
     return any(predicts_worse(data, bench.base, judged.hypothesis, bench.counter) for data in sides)
 

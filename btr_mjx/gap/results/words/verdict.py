@@ -42,7 +42,13 @@ def verdict_statements(result: Mapping[str, Any]) -> list[Statement]:
     if verdict == "none":
         return _nothing(result)
     text = f"Something is missing that none of the known effects explains{_looks(result)}"
-    return [Statement(text, _not_reached(result) | {"something is missing": True})]
+    return [Statement(text, _level(result) | {"something is missing": True})]
+
+
+def _level(result: Mapping[str, Any]) -> dict[str, Claim]:
+    """The claim whether predictions are at the noise's level, where noise is known."""
+    reached = Levels.of(result).noise_reached
+    return {} if reached is None else {"noise reached": reached}
 
 
 def _not_reached(result: Mapping[str, Any]) -> dict[str, Claim]:
@@ -51,8 +57,10 @@ def _not_reached(result: Mapping[str, Any]) -> dict[str, Claim]:
 
 
 def _looks(result: Mapping[str, Any]) -> str:
-    """Where what is unexplained is, and what it looks like."""
+    """How small what is unexplained is, where it is, and what it looks like."""
     where = f", most of it at {result['where']}" if result.get("where") else ""
+    if Levels.of(result).noise_reached:
+        where = f", too little to be seen in short predictions{where}"
     looks = result.get("unexplained") or []
     return f"{where}." + (f" It looks like this: {looks[0].rstrip('.')}." if looks else "")
 
@@ -122,7 +130,7 @@ def _change_statements(result: Mapping[str, Any], effects: Sequence[Mapping[str,
         text = f"What has changed cannot be told: no known effect explains the recordings before either{_looks(result)}"
     else:
         text = f"Something has changed that none of the known effects explains{_looks(result)}"
-    return [Statement(text, _not_reached(result))]
+    return [Statement(text, _level(result))]
 
 
 def _named(result: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> Statement:
