@@ -83,7 +83,7 @@ def test_what_mjx_would_ignore_is_refused() -> None:
         MjxStepper(model(actuator="<motor joint='j' delay='0.01' nsample='20'/>"), frozenset())
     with pytest.raises(UnsupportedModel, match="imax"):
         MjxStepper(model(actuator="<pid joint='j' kp='1' ki='1' imax='2' input='pos'/>"), frozenset())
-    with pytest.raises(UnsupportedModel, match="input='pos'"):
+    with pytest.raises(UnsupportedModel, match="actuator_ctrlnum"):
         MjxStepper(model(actuator="<pid joint='j' kp='1' kv='1'/>"), frozenset())
 
 

@@ -72,7 +72,7 @@ def test_another_engine_than_lanes_is_told_once_with_its_reason(
     with caplog.at_level(logging.WARNING):
         for _ in range(2):
             assert evaluate(own, robot.nominal, c, times=[0.01]).engine == "native"
-    reason = "the lanes engine does not compute the mjINT_IMPLICIT integrator (only Euler, implicitfast and RK4)"
+    reason = "the lanes engine does not compute opt.integrator mjINT_IMPLICIT"
     assert [record.getMessage() for record in caplog.records] == [f"native: {reason}"]
 
 

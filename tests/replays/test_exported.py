@@ -25,7 +25,7 @@ def run(tmp_path: Path) -> Path:
     inputs = {"the dataset": content_digest(open_dataset(tmp_path / "arm.xml", logs=given.logs))}
     assert given.out is not None
     with RunFolder.create(given.out, given, inputs=inputs) as folder:
-        write_json(folder.path / "result.json", {"verdict": "none", "sentence": "", "effects": []})
+        write_json(folder.path / "result.json", {"verdict": "none", "sentence": "", "effects": [], "misfit": None})
         curve = {f"{key}_0": np.arange(4) + k for k, key in enumerate(("measured", "before", "after"))}
         said = {"recordings": "log", "names": "joint elbow", "units": "rad"}
         texts = {key: np.array([text]) for key, text in said.items()}

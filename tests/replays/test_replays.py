@@ -211,8 +211,8 @@ def test_open_loop_is_a_loop_over_steps() -> None:
     time = np.arange(0, 0.5, 0.01)
     ctrl = 0.3 * np.sin(8 * time)[:, None]
     zeros = np.zeros((len(time), 1))
-    recording = Recording("r", time, ctrl, zeros + 0.2, zeros, np.ones(1, bool), "test", model)
-    found = open_loop_positions(World.of(model), recording, "linear", time[:40])
+    recording = Recording("r", time, ctrl, zeros + 0.2, zeros, np.ones(1, bool), "test", model, interpolation="linear")
+    found = open_loop_positions(World.of(model), recording, time[:40])
     data = mujoco.MjData(model)
     data.qpos[0] = 0.2
     expected = [0.2]

@@ -18,6 +18,7 @@ from btr_mjx import coevolve
 from btr_mjx.backtoreality import ScanConfig
 from btr_mjx.diagnose import DiagnoseConfig, check_diagnosis
 from btr_mjx.doctor import DoctorConfig
+from btr_mjx.errors import InputError
 from btr_mjx.replay import ReplayConfig
 from btr_mjx.report import ReportConfig
 from btr_mjx.robots import Robot
@@ -100,7 +101,7 @@ def test_commands_parse(page: str, monkeypatch: pytest.MonkeyPatch, capsys: pyte
 def test_a_wrong_flag_would_be_found() -> None:
     with pytest.raises(SystemExit):
         PARSERS["replay"](["runs/quick", "--with", "240"])
-    with pytest.raises(SystemExit):
+    with pytest.raises(InputError, match="--preset"):
         PARSERS["coevolve"](["--presets", "paper"])
 
 

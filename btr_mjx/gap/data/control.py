@@ -12,6 +12,7 @@ from btr_mjx.runs import check_keys, is_number, toml_section
 Interpolation = Literal["hold", "linear", "cubic"]
 """The command between two samples: that of the earlier one, a straight line, a cubic spline."""
 INTERPOLATIONS: tuple[Interpolation, ...] = get_args(Interpolation)
+"""All kinds of it."""
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ def test_a_constant_command_separates_less_than_a_moving_one():
         assert values[1] > 10 * max(values[0], 1e-9)
         assert values[1] > 50.0  # against no effect, too
     made = [noisy_recording(viscous, bench.dataset, lively, SIGMA, np.random.default_rng(0))]
-    assert recorded_margin(viscous, bench.base, made, "linear", SIGMA, span) > 50.0
+    assert recorded_margin(viscous, bench.base, made, SIGMA, span) > 50.0
 
 
 def test_recordings_show_the_expected_disagreement():
@@ -52,10 +52,10 @@ def test_recordings_show_the_expected_disagreement():
     for truth, rival in ((viscous, heavy), (heavy, viscous)):
         rngs = [np.random.default_rng(seed) for seed in range(4)]
         made = [noisy_recording(truth, bench.dataset, command, SIGMA, rng) for rng in rngs]
-        shown = [recorded_margin(truth, rival, [own], "linear", SIGMA, span) for own in made]
-        assert recorded_margin(truth, rival, made, "linear", SIGMA, span) == pytest.approx(sum(shown), rel=0.05)
+        shown = [recorded_margin(truth, rival, [own], SIGMA, span) for own in made]
+        assert recorded_margin(truth, rival, made, SIGMA, span) == pytest.approx(sum(shown), rel=0.05)
         # The result does not depend on the order of the two.
-        assert recorded_margin(rival, truth, made, "linear", SIGMA, span) == pytest.approx(-sum(shown), rel=0.05)
+        assert recorded_margin(rival, truth, made, SIGMA, span) == pytest.approx(-sum(shown), rel=0.05)
         average.append(np.mean(shown))
     # The expected difference, which does not use the truth, is of the size of the recorded ones.
     expected = expected_margins([viscous, heavy], bench.dataset, command, SIGMA, span)[0, 1]

@@ -34,6 +34,7 @@ MIN_SAMPLES = 20
 """Smallest number of samples of a recording."""
 
 Split = Literal["fit", "test"]
+"""Side of a recording: to fit, or held out."""
 
 
 @dataclass(frozen=True, eq=False)
