@@ -36,7 +36,7 @@ _RATIO = 9.0
 wrong, its neighbours may show it more clearly than the joint itself."""
 
 _NO_MOTION = 1.0
-"""Error (rms) of a prediction that nothing moves: under a convention that fits, the model predicts better than that."""
+"""Error (rms) of a prediction that nothing moves: in a unit that fits, the model predicts better than that."""
 
 _MAX_FAULTS = 8
 
@@ -139,7 +139,9 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
             continue
         shown = max([found, *(compare(now[:, g], errors[i][:, g]) for g in range(now.shape[1]))], key=_strength)
         shown = found if found.decisive(_RATIO) else shown
-        if shown.decisive(_RATIO) and shown.after < _NO_MOTION:
+        # A smaller unit makes any motion small; an order may be right though the model predicts little.
+        moves = alternative.topic != "units" or shown.after < _NO_MOTION
+        if shown.decisive(_RATIO) and moves:
             decisive.append((total, i, _Fault(alternative, shown, "")))
     if not decisive:
         return None
