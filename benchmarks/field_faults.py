@@ -242,7 +242,8 @@ def ask(case: Case, folder: Path, run: Path, config: Config) -> dict[str, Any]:
       usable, said, result, cpu_seconds, and error, which is the last line of a diagnosis that failed.
     """
     words = [sys.executable, "-m", "btr_mjx.diagnose", *command_words(case, folder)]
-    checked = subprocess.run([*words, "--check", "--json"], capture_output=True, text=True)
+    earlier = words.index("--before") if "--before" in words else len(words)  # a check is of one set
+    checked = subprocess.run([*words[:earlier], "--check", "--json"], capture_output=True, text=True)
     report: dict[str, Any] = json.loads(checked.stdout) if checked.stdout.strip() else {"usable": False, "findings": []}
     said = "\n".join(finding["message"] for finding in report["findings"])
     answer: dict[str, Any] = {"usable": report["usable"], "said": said, "result": {}, "cpu_seconds": 0.0, "error": ""}

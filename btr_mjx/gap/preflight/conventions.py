@@ -138,10 +138,13 @@ def _best(tried: Sequence[Alternative], now: np.ndarray, errors: np.ndarray) -> 
         if total > float(np.mean(np.log(now))):
             continue
         shown = max([found, *(compare(now[:, g], errors[i][:, g]) for g in range(now.shape[1]))], key=_strength)
-        shown = found if found.decisive(_RATIO) else shown
+        # Where the motion of one joint among others is larger, an error of the same size is a smaller part of it.
+        larger = max(1.0, float(np.abs(alternative.change.qpos.scale).max())) if len(own) < now.shape[1] else 1.0
+        needed = _RATIO * larger**2
+        shown = found if found.decisive(needed) else shown
         # A smaller unit makes any motion small; an order may be right though the model predicts little.
         moves = alternative.topic != "units" or shown.after < _NO_MOTION
-        if shown.decisive(_RATIO) and moves:
+        if shown.decisive(needed) and moves:
             decisive.append((total, i, _Fault(alternative, shown, "")))
     if not decisive:
         return None
