@@ -143,8 +143,9 @@ def check_all_say_the_same(run: Path, printed: str) -> None:
     assert f"{said['misfit']} misfit, believed model" in page or f"misfit, believed model {said['misfit']}" in page
     for row in result["joint_errors"]:
         cells = [off_by(row, key) for key in ("before", "after", "constant_velocity", "noise", "time_step", "floor")]
-        numbers = " ".join(cell.removesuffix("°") for cell in cells)
-        assert f"{row['joint']} {numbers} ° {misfit_in_words(times_noise(row, 'before'))}" in page
+        numbers = " ".join(cell.removesuffix("°").split()[0] for cell in cells)
+        unit = "°" if row["unit"] == "rad" else cells[0].split()[-1]
+        assert f"{row['joint']} {numbers} {unit} {misfit_in_words(times_noise(row, 'before'))}" in page
     assert said["misfit after"] in (run / "mended.xml").read_text().splitlines()[0]
 
 
