@@ -222,12 +222,13 @@ def test_what_predicts_better_is_written_though_it_has_no_name(dataset: Dataset,
 
 
 def test_the_verdict_follows_from_the_numbers() -> None:
-    """What is predicted down to the noise leaves nothing, whatever was found that looks like something."""
+    """What is predicted down to the noise, and leaves no more than nulls do, leaves nothing."""
     seen, left = (JointError("joint knee0", "rad", 0.25, 0.04, after, 0.01) for after in (0.012, 0.03))
-    told = replace(diagnosis(), unexplained=("a force",), joint_errors=(seen,))
+    told = replace(diagnosis(), unexplained=("a force",), joint_errors=(seen,), chi2=Chi2(4.0, 1.0, 1.0))
     assert (told.verdict, told.mended_kind) == ("effect", "explained")
     assert replace(told, found=()).verdict == "none"
     assert replace(told, joint_errors=(seen, left)).verdict == "unexplained"
+    assert replace(told, chi2=Chi2(4.0, 1.2, 1.0)).verdict == "unexplained"
     part = replace(told, unexplained=(), joint_errors=(seen, left))
     assert (part.verdict, part.mended_kind) == ("effect", "partly explained")
 
