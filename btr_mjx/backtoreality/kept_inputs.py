@@ -14,9 +14,7 @@ _SETTINGS = ("robot", "template", "reality_model", "fitness")
 
 
 def keep_inputs(folder: Path, config: RunSettings, robot: Robot, reality: Reality | None = None) -> None:
-    """Copy the files of a run's settings into its folder, unless they are there."""
-    if kept_files(folder):
-        return
+    """Copy the files of a run's settings into its folder, where a copy is missing or was altered."""
     named = {}
     if config.robot is not None and config.robot.exists():
         named["robot"] = files_of_robot(config.robot, robot)

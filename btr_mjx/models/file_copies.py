@@ -38,7 +38,7 @@ def files_of_robot(file: Path, robot: Robot) -> list[Path]:
 
 
 def keep_files(folder: Path, named: Mapping[str, Sequence[Path]]) -> None:
-    """Copy files into a run folder.
+    """Copy files into a run folder; copies that are there and were not altered stay.
 
     Args:
       folder: the run folder.
@@ -56,8 +56,10 @@ def keep_files(folder: Path, named: Mapping[str, Sequence[Path]]) -> None:
     for setting, files in named.items():
         root = Path(os.path.commonpath([file.parent for file in files])).parent  # a robot is named by its folder
         for file in dict.fromkeys(files):
-            with atomic_write(folder / COPIES / setting / file.relative_to(root)) as copy:
-                copy.write(read_limited(file, MAX_ASSET_BYTES))
+            copy, content = folder / COPIES / setting / file.relative_to(root), read_limited(file, MAX_ASSET_BYTES)
+            if not copy.is_file() or copy.read_bytes() != content:
+                with atomic_write(copy) as opened:
+                    opened.write(content)
         index[setting] = (Path(setting) / files[0].relative_to(root)).as_posix()
     if index:
         write_json(folder / COPIES / _INDEX, index)  # last: the copies are there when it is

@@ -9,6 +9,8 @@ from pathlib import Path
 import faults
 from hidden_cases import CaseSettings, make_case
 
+from btr_mjx.errors import WAITING_CODE
+
 ROOT = Path(__file__).parents[2]
 THROWER = ROOT / "examples" / "thrower"
 
@@ -52,7 +54,7 @@ class Run:
             words = [*self.words, "--out", "run", *(["--resume"] if resume else [])]
             session = faults.run_session(self.module, words, folder, left)
             changes += session.changes
-            if session.code or self.between is None or "waiting for" not in session.text:
+            if session.code != WAITING_CODE or self.between is None:
                 return replace(session, changes=changes)
             self.between(folder / "run")
             resume = True

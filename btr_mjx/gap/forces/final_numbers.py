@@ -6,7 +6,7 @@ import numpy as np
 
 from btr_mjx.gap.effects import OF_LOG
 from btr_mjx.gap.forces.horizons import follow_horizons
-from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, covariance, numbers_of, with_numbers
+from btr_mjx.gap.forces.points import QUANTILE, Fitted, ForceSide, Point, covariance, numbers_of, with_numbers
 from btr_mjx.gap.forces.predictions import compared_predictions
 from btr_mjx.gap.forces.search import Named
 from btr_mjx.gap.forces.settling import settled
@@ -17,11 +17,10 @@ _SEEN = 0.3
 
 
 def without_invisible(side: ForceSide, fit: Fitted) -> Fitted:
-    """A fit without effects whose numbers are too small to be seen."""
-    seen = _visible(fit.point.named)
-    if len(seen) == len(fit.point.named):
-        return fit
-    return settled(side, replace(fit.point, named=seen), fit.variances, about=fit.stretches)
+    """A fit without effects whose numbers are too small to be seen, or may as well be nothing."""
+    while len(seen := _visible(side, fit)) < len(fit.point.named):
+        fit = settled(side, replace(fit.point, named=seen), fit.variances, about=fit.stretches)
+    return fit
 
 
 def last_numbers(side: ForceSide, fit: Fitted, follow: bool) -> tuple[Fitted, Point]:
@@ -36,7 +35,7 @@ def last_numbers(side: ForceSide, fit: Fitted, follow: bool) -> tuple[Fitted, Po
     if not fit.point.named:
         return fit, _followed(side, fit)
     point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
-    fits = [fit, settled(side, point, fit.variances, about=fit.stretches)]
+    fits = [fit, without_invisible(side, settled(side, point, fit.variances, about=fit.stretches))]
     points = [_followed(side, own) for own in fits]
     makes = [own.hypothesis(side.library) for own in points]
     told = compared_predictions(side.stretches.data, makes, side.counter)[0, 1]
@@ -77,11 +76,15 @@ def _merged(library: Library, point: Point) -> Point:
     return replace(point, named=tuple(named), calibration=rest)
 
 
-def _visible(named: Named) -> Named:
-    """Effects with a number that is visible: of the size of its step, and no smaller than what is never named."""
-    out = []
-    for candidate, values in named:
-        pairs = zip(candidate.parameters, values, strict=True)
-        if any(abs(v - p.null) > max(_SEEN * abs(p.step), p.negligible) for p, v in pairs if not p.shape):
+def _visible(side: ForceSide, fit: Fitted) -> Named:
+    """Named effects with a number that is visible.
+
+    It is of the size of its step, no smaller than what is never named, and "none" is not within its interval.
+    """
+    half, out, i = QUANTILE * np.sqrt(np.diag(covariance(side, fit))), [], 0
+    for candidate, values in fit.point.named:
+        rows = zip(values, candidate.parameters, half[i : i + len(values)], strict=True)
+        if any(abs(v - p.null) > max(_SEEN * abs(p.step), p.negligible, h) for v, p, h in rows if not p.shape):
             out.append((candidate, values))
+        i += len(values)
     return tuple(out)

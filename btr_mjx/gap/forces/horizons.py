@@ -5,7 +5,7 @@ samples does not see; a long simulation in turn says nothing where motion diverg
 forces allow, to where simulations are nearest to the data, over horizons that grow while they are followed.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,9 +39,6 @@ SAMPLES = 40_000
 
 _NUMBERS = 10
 """Numbers that are moved with all of them; more numbers get fewer samples, since each is simulated."""
-
-
-Errors = Callable[..., list[list[np.ndarray]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +82,12 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
     horizon, best = _SHORTEST, point
     while horizon < _LONGER * longest:
         trial = cut_horizons(data, min(horizon, longest), samples)
-        errors = _exact_errors(trial, [best.hypothesis(library)], side.counter)[0]
+        errors, step_errors = _errors_at(trial, best.hypothesis(library), side.counter)
         rms = np.sqrt(np.median(np.concatenate([(e[..., seen] ** 2).mean(1) for e in errors]), 0))
         if not np.all(rms < FOLLOWS * size):
             break
-        best, covariance = _nearest(side, trial, best, numbers.at(best), covariance, (seen, rms))
+        scale = seen, rms
+        best, covariance = _nearest(side, trial, best, numbers.at(best), covariance, scale, (errors, step_errors))
         horizon *= _LONGER
     return best
 
@@ -165,12 +163,14 @@ def steady_errors(trial: Horizon) -> list[np.ndarray]:
     return out
 
 
-def _exact_errors(
-    trial: Horizon, makes: Sequence[Hypothesis], counter: Counter | None = None
-) -> list[list[np.ndarray]]:
-    """Errors at vanishing time steps: numbers are not to make up for those of the simulation."""
-    whole, half = (position_errors(trial, makes, counter, factor) for factor in (1.0, 0.5))
-    return [[2 * b - a for a, b in zip(*rows, strict=True)] for rows in zip(whole, half, strict=True)]
+def _errors_at(trial: Horizon, make: Hypothesis, counter: Counter | None) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Errors of a hypothesis at vanishing time steps, and those that the steps of the simulation make.
+
+    Numbers are not to make up for the time step of a simulation, whose errors are of first order.
+    """
+    whole, half = (position_errors(trial, [make], counter, factor)[0] for factor in (1.0, 0.5))
+    steps = [2 * (a - b) for a, b in zip(whole, half, strict=True)]
+    return [a - own for a, own in zip(whole, steps, strict=True)], steps
 
 
 def motion_size(data: PreparedData) -> np.ndarray:
@@ -225,6 +225,7 @@ def _nearest(
     numbers: _Numbers,
     covariance: np.ndarray,
     scale: tuple[np.ndarray, np.ndarray],
+    errors: tuple[list[np.ndarray], list[np.ndarray]],
 ) -> tuple[Point, np.ndarray]:
     """The point nearest to the data over one horizon, and the covariance of its numbers.
 
@@ -235,26 +236,30 @@ def _nearest(
       numbers: of the point, which are moved.
       covariance: (m, m) of them.
       scale: coordinates that were measured, and the size of their errors.
+      errors: of the point, see `_errors_at`; those of the time steps stay, since numbers move by little.
     """
     low, high, step, start = numbers.low, numbers.high, numbers.step, numbers.value
     root = np.linalg.cholesky(np.linalg.inv(covariance)).T
     seen, rms = scale
 
-    def residuals(many: Sequence[np.ndarray], simulated: Errors = _exact_errors) -> np.ndarray:
-        """(n, N): each simulation counts as one measured value per joint, since its errors go together."""
-        tried = [numbers.moved(point, values) for values in many]
-        found = simulated(trial, [own.hypothesis(side.library) for own in tried], side.counter)
-        errors = [np.concatenate([(e[..., seen] / rms / np.sqrt(e.shape[1])).ravel() for e in row]) for row in found]
-        return np.concatenate([errors, (np.array(many) - start) @ root.T], 1)
+    def residual(values: np.ndarray, found: Sequence[np.ndarray]) -> np.ndarray:
+        """(N,): each simulation counts as one measured value per joint, since its errors go together."""
+        own = [(e[..., seen] / rms / np.sqrt(e.shape[1])).ravel() for e in found]
+        return np.concatenate([*own, root @ (values - start)])
 
-    at, own = start, residuals([start])[0]
-    steps = np.diag(np.where(start + step <= high, step, -step))
-    # One set of derivatives, of the usual time step, serves all steps: numbers move by little.
-    moved = residuals([start, *(start + steps)], position_errors)
-    slopes = ((moved[1:] - moved[0]) / np.diag(steps)[:, None]).T
+    def residuals(many: Sequence[np.ndarray]) -> list[np.ndarray]:
+        hypotheses = [numbers.moved(point, values).hypothesis(side.library) for values in many]
+        rows = position_errors(trial, hypotheses, side.counter)
+        exact = ([a - own for a, own in zip(row, errors[1], strict=True)] for row in rows)
+        return [residual(values, own) for values, own in zip(many, exact, strict=True)]
+
+    at, own = start, residual(start, errors[0])
+    steps = np.where(start + step <= high, step, -step)
+    # One set of derivatives serves all steps: numbers move by little.
+    slopes = (np.array(residuals(list(start + np.diag(steps)))) - own).T / steps
     for _ in range(_STEPS):
         trial_at = np.clip(at - np.linalg.lstsq(slopes, own)[0], low, high)
-        after = residuals([trial_at])[0]
+        (after,) = residuals([trial_at])
         if not after @ after < own @ own:
             break
         at, own = trial_at, after

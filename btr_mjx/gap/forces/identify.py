@@ -235,6 +235,8 @@ def _settled_names(
         if not seen.point.named:
             continue
         last, point = last_numbers(side, seen, follow)
+        if not last.point.named:
+            continue
         mended = point.hypothesis(side.library)
         if not any(predicts_worse(own.stretches.data, base, mended, own.counter) for own in (side, test)):
             return [*chain[: count - 1], last], point, worse

@@ -14,6 +14,9 @@ from btr_mjx.gap.forces.unknowns import Library, calibrated_effects, calibrated_
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.models import integrate
 
+QUANTILE = 1.645
+"""Half width of a 90 % interval, in standard errors."""
+
 
 @dataclass(frozen=True, eq=False)
 class ForceSide:

@@ -6,7 +6,7 @@ import numpy as np
 from btr_mjx.gap.effects import LawTerm
 from btr_mjx.gap.forces.kalman_filter import smoothed
 from btr_mjx.gap.forces.law_scan import JointStates, joint_states
-from btr_mjx.gap.forces.points import Fitted, ForceSide, covariance
+from btr_mjx.gap.forces.points import QUANTILE, Fitted, ForceSide, covariance
 from btr_mjx.gap.results import JointForce
 from btr_mjx.models import dof_places
 
@@ -15,9 +15,6 @@ _SHOWN = 2
 
 _POINTS = 2000
 """Points of a joint, at most."""
-
-QUANTILE = 1.645
-"""Half width of a 90 % interval, in standard errors."""
 
 
 def joint_forces(side: ForceSide, first: Fitted, last: Fitted) -> tuple[JointForce, ...]:

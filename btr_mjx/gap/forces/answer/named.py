@@ -6,8 +6,7 @@ import numpy as np
 
 from btr_mjx.gap.effects import equation_of
 from btr_mjx.gap.forces.answer.found import SearchOutcome
-from btr_mjx.gap.forces.answer.joint_forces import QUANTILE
-from btr_mjx.gap.forces.points import covariance, names
+from btr_mjx.gap.forces.points import QUANTILE, covariance, names
 from btr_mjx.gap.forces.search import SearchRound
 from btr_mjx.gap.results import (
     Estimate,

@@ -16,8 +16,8 @@ from threadpoolctl import threadpool_limits
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset
 from btr_mjx.gap.effects import EFFECTS, Effect, Parameter
-from btr_mjx.gap.forces.answer.joint_forces import QUANTILE
 from btr_mjx.gap.forces.identify import prepare_forces, search_forces
+from btr_mjx.gap.forces.points import QUANTILE
 from btr_mjx.gap.forces.sets.carried import Carried, carried_of
 from btr_mjx.gap.results import Diagnosis, Estimate, Quantity
 from btr_mjx.gap.simulate import Counter
