@@ -35,7 +35,7 @@ def last_numbers(side: ForceSide, fit: Fitted, follow: bool) -> tuple[Fitted, Po
     if not fit.point.named:
         return fit, _followed(side, fit)
     point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
-    fits = [fit, without_invisible(side, settled(side, point, fit.variances, about=fit.stretches))]
+    fits = [fit, settled(side, point, fit.variances, about=fit.stretches)]
     points = [_followed(side, own) for own in fits]
     makes = [own.hypothesis(side.library) for own in points]
     told = compared_predictions(side.stretches.data, makes, side.counter)[0, 1]

@@ -231,11 +231,12 @@ def _settled_names(
     """
     base, worse = _believed(side, chain[0]), False
     for count in range(len(chain), 1, -1):
-        seen = without_invisible(side, chain[count - 1])
+        seen, followed = without_invisible(side, chain[count - 1]), None
+        while seen.point.named and seen is not followed:
+            last, point = last_numbers(side, seen, follow)
+            followed = replace(last, point=point)
+            seen = without_invisible(side, followed)
         if not seen.point.named:
-            continue
-        last, point = last_numbers(side, seen, follow)
-        if not last.point.named:
             continue
         mended = point.hypothesis(side.library)
         if not any(predicts_worse(own.stretches.data, base, mended, own.counter) for own in (side, test)):
