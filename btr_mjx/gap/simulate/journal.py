@@ -1,7 +1,8 @@
 """Cache of simulated states on disk, so that an interrupted search resumes with bit-identical results.
 
-A search is deterministic and spends nearly all of its time in simulations. Its own state is therefore not saved: each
-result of `batch.simulate` is written to a file, and a restarted search reads these files instead of simulating.
+A search is deterministic and spends nearly all of its time in simulations. Its own state is therefore not saved: the
+numbers of each fit, and each result of `batch.simulate` beside fits, are written to files, and a restarted search reads
+these instead of simulating.
 
 The file name is a SHA-256 digest of the worlds, starting states, commands, time step, MuJoCo version and the code of
 this package. Calls may come from threads in any order.
@@ -49,7 +50,7 @@ class Journal(Counter):
         """
         super().__init__()
         self._folder, self._report, self._expect = folder, report, expect
-        self._written: list[Path] = []
+        self._within = False
         self._code, self._begun = _code() + code, time.time()
         folder.mkdir(parents=True, exist_ok=True)
         mark = hashlib.sha256(self._code).hexdigest()
@@ -58,8 +59,13 @@ class Journal(Counter):
                 path.unlink()
             (folder / mark).touch()
 
-    def lookup(self, jobs: Sequence[Job], timestep: float | None) -> tuple[list[np.ndarray] | None, Path]:
-        """Stored states of these jobs, None if there are none or the file is damaged; and their file."""
+    def lookup(self, jobs: Sequence[Job], timestep: float | None) -> tuple[list[np.ndarray] | None, Path | None]:
+        """Stored states of these jobs, None if there are none or the file is damaged; and their file.
+
+        There is no file for what is simulated within `remembered`.
+        """
+        if self._within:
+            return None, None
         path = self._folder / f"{_key(self._code, jobs, timestep)}.npz"
         saved = self._read(path)
         return None if saved is None else [saved[f"states_{i}"] for i in range(len(jobs))], path
@@ -69,22 +75,24 @@ class Journal(Counter):
     ) -> Mapping[str, np.ndarray]:
         """Arrays that are computed from `parts`, or were before and are read.
 
-        Once they are stored, what was simulated for them is not needed any more, and its files are removed. Not for
+        What is simulated for them is not stored: it is simulated again where the computation did not end. Not for
         threads.
 
         Args:
           parts: all that the arrays depend on, besides code.
           compute: computes them, with steps that this journal counts.
         """
+        if self._within:
+            return compute()
         path = self._folder / f"{_digest([self._code, *parts])}.npz"
         if (saved := self._read(path)) is not None:
             return saved
-        first, begun = len(self._written), self.steps
-        found = compute()
-        inner, self._written = self._written[first:], self._written[:first]
+        self._within, begun = True, self.steps
+        try:
+            found = compute()
+        finally:
+            self._within = False
         self._write(path, found, self.steps - begun)
-        for own in inner:
-            own.unlink(missing_ok=True)
         return found
 
     def add(self, steps: int) -> None:
@@ -100,9 +108,9 @@ class Journal(Counter):
             self._expect(steps)
 
     def store(self, path: Path | None, states: Sequence[np.ndarray], steps: int) -> None:
-        """Write the states of jobs, which took these steps, to their file."""
-        assert path is not None
-        self._write(path, {f"states_{i}": own for i, own in enumerate(states)}, steps)
+        """Write the states of jobs, which took these steps, to their file, if they have one."""
+        if path is not None:
+            self._write(path, {f"states_{i}": own for i, own in enumerate(states)}, steps)
 
     def _read(self, path: Path) -> dict[str, np.ndarray] | None:
         """What a file holds, counted; None where there is none, or a damaged one."""
@@ -112,7 +120,6 @@ class Journal(Counter):
             saved = read_arrays(path, require_digest=True)
         except DamagedFile:
             return None
-        self._written.append(path)
         self.add(int(saved["steps"]))
         if saved["begun"] != self._begun:
             self.earlier = max(self.earlier, float(saved["seconds"]))
@@ -121,7 +128,6 @@ class Journal(Counter):
     def _write(self, path: Path, arrays: Mapping[str, np.ndarray], steps: int) -> None:
         seconds = time.time() - self._begun + self.earlier
         write_arrays(path, {**arrays, "steps": steps, "seconds": seconds, "begun": self._begun})
-        self._written.append(path)
 
     def close(self) -> None:
         """Remove the files, at the end of a search."""
