@@ -18,6 +18,7 @@ from btr_mjx.gap.data import Dataset, noise_of
 from btr_mjx.gap.effects import (
     LAW_EFFECTS,
     OF_LOG,
+    TIMING,
     TORQUE_CONSTANT,
     Candidate,
     Effect,
@@ -238,8 +239,8 @@ def _settled_names(
             seen = without_invisible(side, followed)
         if not seen.point.named:
             continue
-        mended = point.hypothesis(side.library)
-        if not any(predicts_worse(own.stretches.data, base, mended, own.counter) for own in (side, test)):
+        before, after = (_as_logged(side.library, one, last) for one in (base, point.hypothesis(side.library)))
+        if not any(predicts_worse(own.stretches.data, before, after, own.counter) for own in (side, test)):
             return [*chain[: count - 1], last], point, worse
         worse = True
     last, point = last_numbers(side, chain[0], follow)
@@ -251,6 +252,14 @@ def _believed(side: ForceSide, fit: Fitted) -> Hypothesis:
     base = fit.point.base
     values = believed_values(side.library, base.parameters, fit.point.calibration, base.believed)
     return replace(base, believed=tuple(values))
+
+
+def _as_logged(library: Library, make: Hypothesis, fit: Fitted) -> Hypothesis:
+    """A model whose commands act when they did in the recordings of a fit: within a sample, which no model tells."""
+    for candidate, values in calibrated_effects(library, fit.point.calibration):
+        if candidate.effect.name == TIMING:
+            make = make.with_effect(candidate, values)
+    return make
 
 
 def _of_calibration(stretches: Stretches, library: Library, base: Hypothesis, counter: Counter) -> np.ndarray:
@@ -278,6 +287,7 @@ def _found(
     calibration = _calibration(side.library, last.point)
     for candidate, own in (*calibration, *last.point.named):
         mended = mended.with_effect(candidate, own)
+    base, mended = (_as_logged(side.library, one, forces) for one in (base, mended))
     errors, steady = horizon_errors(test.stretches.data, [base, mended], side.counter)
     missing = missing_force(side.stretches, base)
     # What was left before, and is left again, has not changed.

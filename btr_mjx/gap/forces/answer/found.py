@@ -24,8 +24,8 @@ class SearchOutcome:
       errors: (W, nv) mean square errors of predictions of the believed model, the mended one and constant velocity.
       missing: force that the believed model lacks.
       large: (nv,) bool: the random force that is left is no calibration.
-      base: the believed model with what was refitted.
-      mended: with what was named.
+      base: the believed model with what was refitted, and with the timing of the commands of these recordings.
+      mended: with what was named, in the same way.
       side, test: of the split.
       contradicted: whether more was found than held-out recordings bear out.
       law: that a force which is left follows; None where nothing is.
