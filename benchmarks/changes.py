@@ -22,11 +22,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import mujoco
 import numpy as np
 import tyro
-from field_cases import Logging, UsualSizes, log_rows, usual_sizes
 from field_gate import judged_parts, same_kind_and_place
-from field_physics import SETTLE, Calibration, Controlled, build, move
-from field_robots import ROBOTS, FieldRobot
 from gap_scores import parameter_error
+from hidden_cases.field_cases import Logging, UsualSizes, log_rows, usual_sizes
+from hidden_cases.field_physics import SETTLE, Calibration, Controlled, build, move
+from hidden_cases.field_robots import ROBOTS, FieldRobot
 from naming_gate import CODE
 
 from btr_mjx.errors import cli_errors

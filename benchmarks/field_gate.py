@@ -24,9 +24,9 @@ import mujoco
 import numpy as np
 import tyro
 from case_runs import Files
-from field_cases import FAULTS, Wanted, make_case
-from field_robots import ROBOTS
 from gap_scores import inside_interval, same_effect
+from hidden_cases.field_cases import FAULTS, Wanted, make_case
+from hidden_cases.field_robots import ROBOTS
 from naming_gate import CODE, mcnemar
 
 from btr_mjx.errors import cli_errors

@@ -20,9 +20,9 @@ import mujoco
 import numpy as np
 import tyro
 from case_runs import Files
-from field_cases import FRESH, Wanted, make_case
 from field_gate import solve
-from field_laws import LAWS, found_force, true_force
+from hidden_cases.field_cases import FRESH, Wanted, make_case
+from hidden_cases.field_laws import LAWS, found_force, true_force
 from naming_gate import CODE
 
 from btr_mjx.errors import cli_errors

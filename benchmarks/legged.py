@@ -22,13 +22,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import mujoco
 import numpy as np
 import tyro
-from field_cases import usual_sizes
 from field_gate import judge, solve
-from field_physics import SETTLE, Calibration, Controlled, build, draw_calibration, move
-from field_robots import ROBOTS
 from hidden_cases import case_robot
 from hidden_cases.case_sampling import Draw
 from hidden_cases.cases import draw_reality
+from hidden_cases.field_cases import usual_sizes
+from hidden_cases.field_physics import SETTLE, Calibration, Controlled, build, draw_calibration, move
+from hidden_cases.field_robots import ROBOTS
 from hidden_cases.imu import Mount, imu_columns, with_fault, with_imu
 from hidden_cases.motion import peak_loads, simulate_reality
 from naming_gate import CODE

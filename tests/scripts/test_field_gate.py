@@ -22,7 +22,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 def model_of(kind: str) -> mujoco.MjModel:
-    from field_robots import ROBOTS
+    from hidden_cases.field_robots import ROBOTS
 
     return mujoco.MjModel.from_xml_string(ROBOTS[kind](np.random.default_rng(0)).xml)
 
