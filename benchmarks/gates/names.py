@@ -97,36 +97,6 @@ def true_values(model: mujoco.MjModel, missing: Mapping[str, Any], names: Sequen
     return values
 
 
-def parameter_error(missing: Mapping[str, Any], named: Mapping[str, Any]) -> float:
-    """Relative error of the size of a correctly named effect.
-
-    The size of a payload is its mass, that of a vector its length. Where an effect is absent at a value other than zero
-    (friction, softness), errors are relative to the distance from that value; for a torque limit, to the limit.
-
-    Args:
-      missing: an effect of the truth.
-      named: the effect of the answer.
-
-    Returns:
-      Norm of the error over the norm of the true size.
-    """
-    true, estimated = missing["parameters"], named["parameters"]
-    if "mass" in true:
-        names: Sequence[str] = ["mass"]
-    elif "x" in true:
-        names = [name for name in "xyz" if name in true]
-    elif named["location"].startswith("each:"):
-        names = list(estimated)
-        true = {name: true.get(name, true.get(name.partition("[")[0])) for name in names}
-    else:
-        names = [next(iter(true))]
-    null = [0.0 if name == "limit" else float(estimated[name].get("null", 0.0)) for name in names]
-    truth = np.array([float(true[name]) for name in names])
-    return float(np.linalg.norm([float(estimated[n]["value"]) - t for n, t in zip(names, truth, strict=True)])) / float(
-        np.linalg.norm(truth - np.array(null))
-    )
-
-
 def inside_interval(model: mujoco.MjModel, missing: Mapping[str, Any], named: Mapping[str, Any]) -> list[bool]:
     """Whether each true number of a correctly named effect lies within the interval that was reported."""
     if missing["location"] != named["location"]:

@@ -30,7 +30,7 @@ from btr_mjx.gap.preflight import checked, refuse_errors
 from btr_mjx.gap.results import Verdict, as_result, detail_sentences, verdict_sentence
 from gates.cases import Suite
 from gates.forces import judge_drives, judge_law
-from gates.names import judge_names, judged_parts, parameter_error, same_effect
+from gates.names import judge_names, judged_parts, same_effect
 from gates.rows import Row
 
 VISIBLE = 60.0
@@ -127,12 +127,14 @@ def make_law(robot: str, folder: Path, seed: int, index: int) -> dict[str, Any]:
 
 
 def judge_change(folder: Path, truth: Mapping[str, Any], answer: Mapping[str, Any]) -> Row:
-    """By names and sizes."""
+    """By names, and by the first number of the change: torque, mass, strength or damping."""
     model = mujoco.MjModel.from_xml_path(str(folder / "before" / "model.xml"))
-    row = judge_names(model, truth["effects"], answer)
+    row, errors = judge_names(model, truth["effects"], answer), list[float]()
     parts = [part for effect in answer["effects"] for part in judged_parts(effect)]
-    pairs = [(h, part) for h in truth["effects"] for part in parts if same_effect(model, h, part)]
-    return replace(row, right=row.right and all(abs(parameter_error(*pair)) < SAME_SIZE for pair in pairs))
+    for hidden in truth["effects"]:
+        name, true = next(iter(hidden["parameters"].items()))
+        errors += [abs(p["parameters"][name]["value"] / true - 1) for p in parts if same_effect(model, hidden, p)]
+    return replace(row, right=row.right and max(errors, default=0.0) < SAME_SIZE)
 
 
 def judge_torques(folder: Path, truth: Mapping[str, Any], answer: Mapping[str, Any]) -> Row:

@@ -15,7 +15,8 @@ import pytest
 import toy_gate
 from gates import answers, suites
 from gates.cases import Case, Suite
-from gates.names import judge_names, parameter_error, same_place, true_values
+from gates.forces import judge_drives, judge_law
+from gates.names import judge_names, same_place, true_values
 from gates.pairing import cpu_ratio, mcnemar, paired, show_pairs
 from gates.rows import NO_ANSWER, Row, row_of
 from hidden_cases import case_robot
@@ -324,14 +325,51 @@ def test_places(one: str, other: str, same: bool) -> None:
     assert same_place(DOG, one, other) == same_place(DOG, other, one) == same
 
 
-def test_errors_of_parameters() -> None:
-    force = effect("constant_force", "body:trunk", x=3.0, y=4.0, z=0.0)
-    assert parameter_error(force, named("constant_force", "body:trunk", x=3.0, y=4.5, z=0)) == pytest.approx(0.1)
-    payload = effect("payload", "body:fl_shank", mass=0.1, x=0, y=0, z=-0.2)
-    assert parameter_error(payload, named("payload", "body:fl_shank", mass=0.12, along=0.1)) == pytest.approx(0.2)
-    slippery = named("ground_friction", "world", coefficient=0.5)
-    slippery["parameters"]["coefficient"]["null"] = 0.8
-    assert parameter_error(effect("ground_friction", "world", coefficient=0.4), slippery) == pytest.approx(0.25)
+def test_changes_are_right_by_name_and_size(tmp_path: Path) -> None:
+    (tmp_path / "before").mkdir()
+    (tmp_path / "before" / "model.xml").write_text(ROBOTS["torque_arm"](np.random.default_rng(0)).xml)
+    truth = {"effects": [effect("dry_friction", "joint:lower", torque=0.1)]}
+    single = [named("dry_friction", "joint:lower", torque=size) for size in (0.11, 0.13)]
+    each = named("dry_friction", "each:all", torque__lower=0.11, torque__upper=0.05)
+    for said, right in ((single[0], True), (single[1], False), (each, True)):
+        assert suites.judge_change(tmp_path, truth, answer(said)).right is right
+    assert suites.judge_change(tmp_path, truth, answer()).right is False
+    assert suites.judge_change(tmp_path, {"effects": []}, answer()).right is True
+
+
+def test_laws_are_right_by_their_force(tmp_path: Path) -> None:
+    """A belt that pulls a joint only by its own angle is a spring, by another name."""
+    robot, rng = ROBOTS["arm"](np.random.default_rng(0)), np.random.default_rng(1)
+    model, data = mujoco.MjModel.from_xml_string(robot.xml), tmp_path / "data"
+    data.mkdir()
+    (data / "model.xml").write_text(robot.xml)
+    states = {"qpos": model.nq, "qvel": model.nv, "torque": model.nv}
+    drawn = {name: rng.standard_normal((20, size)) for name, size in states.items()}
+    np.savez(tmp_path / "fresh.npz", time=np.arange(20.0), **drawn)
+    own, other = (model.joint(int(model.actuator_trnid[a, 0])).name for a in (0, 1))
+    belt = effect("law", f"joint:{own}", p0=2.0, p1=0.0) | {"kind": "coupling", "other": other}
+    springs = [named("joint_stiffness", f"joint:{own}", stiffness=k) for k in (2.2, 4.0)]
+    truth = {"robot": "arm", "effects": [belt]}
+    row = judge_law(data, truth, answer(springs[0]))
+    assert (row.right, row.false_names, row.hidden) == (True, (), f"coupling@joint:{own}")
+    row = judge_law(data, truth, answer(springs[1]))
+    assert (row.right, row.false_names) == (False, (f"joint_stiffness@joint:{own}",))
+    unexplained = answer(verdict="unexplained")
+    assert judge_law(data, truth, unexplained).right is False
+    assert judge_law(data, truth | {"robot": "legged"}, unexplained).right is True
+    dead = {"robot": "arm", "effects": [effect("backlash", f"joint:{own}", play=0.1)]}
+    assert judge_law(data, dead, answer(named("backlash", f"joint:{own}", play=0.3))).right is True
+
+
+def test_drives_are_right_where_friction_and_rotors_are_near(tmp_path: Path) -> None:
+    truth = {"friction": [1.0] * 6, "damping": [1.0] * 6, "rotor": [0.2] * 6}
+    rotors = named("armature", "each:all", **{f"armature__j{i}": 0.21 for i in range(6)})
+    said = answer(rotors, named("dry_friction", "all", torque=1.05)) | {"calibration": []}
+    row = judge_drives(tmp_path, truth, said)
+    assert (row.right, row.numbers, row.inside, row.false_names) == (True, 18, 12, ())
+    said["calibration"] = [named("dry_friction", "joint:j3", torque=0.2)]
+    row = judge_drives(tmp_path, truth, said)
+    assert (row.right, row.inside) == (False, 11)
 
 
 def test_hidden_payloads_in_the_parameters_of_the_library() -> None:
