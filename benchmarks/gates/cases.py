@@ -2,11 +2,12 @@
 
 import os
 import shutil
+import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
@@ -120,8 +121,17 @@ class Case:
 Step = Literal["make", "solve"]
 
 
+def _end_with_parent() -> None:
+    """End this process where the gate was killed: nothing would end a case that hangs."""
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
 def _work(case: Case, step: Step, core: int | None) -> None:
     """Make or solve a case in this process, on a core of its own: threads of several solvers block each other."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     if core is not None:
         os.sched_setaffinity(0, {core})
     mujoco.set_mju_user_warning(lambda _: None)  # hypotheses that diverge are what they are
