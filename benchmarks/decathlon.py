@@ -46,8 +46,8 @@ import so101
 import tx40
 import tyro
 import ur10e
+from gates.answers import CODE, data_digest
 from machine import Copies, Machine, Trial, halves, write_trial
-from naming_gate import CODE, data_digest
 from open_loop import (
     Predictor,
     believed_models,

@@ -20,7 +20,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import tyro
-from naming_gate import CODE
+from gates.answers import CODE
 
 from btr_mjx.errors import InputError, cli_errors
 from btr_mjx.runs import note, read_json, write_json

@@ -2,18 +2,20 @@
 
     uv run python benchmarks/force_rules.py --cases 15 --nulls 20 --json rules.json
 
-The cases are those of `field_gate.py`: robots that lack one to three effects, and robots that lack nothing, with faults
-of data. A rule is taken away by the value of its constant that makes it say nothing; a tuning is doubled or halved. The
-table counts cases that are right only with it or only without it (right: every hidden effect is named, and nothing
-else; of a null: nothing is named or unexplained). A rule pays where the difference exceeds two standard errors, the
-root of the number of cases that differ. Answers are kept, so that the same command continues a run.
+The cases are those of `gate.py`, suites field and field_nulls: robots that lack one to three effects, and robots that
+lack nothing, with faults of data. A rule is taken away by the value of its constant that makes it say nothing; a tuning
+is doubled or halved. The table counts cases that are right only with it or only without it (right: every hidden effect
+is named, and nothing else; of a null: nothing is named or unexplained). A rule pays where the difference exceeds two
+standard errors, the root of the number of cases that differ. Answers are kept, so that the same command continues a
+run.
 """
 
 import os
 import time
+import traceback
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -23,11 +25,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import tyro
 from convention_rules import compared, set_constants
-from field_gate import Config as GateConfig
-from field_gate import solved_case
-from naming_gate import CODE
+from gates.answers import CODE
+from gates.cases import Case
+from gates.pairing import cpu_ratio
+from gates.rows import Row
+from gates.suites import SUITES
 
-from btr_mjx.runs import note, write_json
+from btr_mjx.runs import note, read_json, write_json
 
 BASE = "all constants as they are"
 NEVER = float("inf")
@@ -73,47 +77,52 @@ class Config:
     """Only rules whose name holds one of these."""
     processes: int = 2
     """Processes side by side."""
-    out: Path = Path("runs/field_gate")
+    out: Path = Path("runs/gate")
     """Folder of cases and answers."""
     json: Path | None = None
     """Also write the rows here."""
 
 
-def _row(job: tuple[GateConfig, int, Path]) -> dict[str, Any]:
+def _row(case: Case) -> Row:
     """Row of a case, with the constants of this process."""
-    found = solved_case(*job)
-    return found[0] if found else {"case": f"{job[1]}", "correct": False, "cpu_seconds": float("nan")}
+    try:
+        if not case.truth.is_file():
+            case.make()
+        if not case.is_solved():
+            case.solve()
+    except Exception:
+        case.fail(traceback.format_exc())
+    return case.row(read_json(case.answer))
 
 
-def rows_of(config: Config, rule: str) -> list[dict[str, Any]]:
+def rows_of(config: Config, rule: str) -> list[Row]:
     """Rows of all cases without a rule."""
     words = "_".join("".join(c if c.isalnum() else " " for c in rule).split())
-    answers = config.out / "answers" / CODE / ("" if rule == BASE else words)
-    nulls = GateConfig(seed=config.seed, out=config.out, nulls=True)
-    jobs = [(replace(nulls, nulls=False), i, answers) for i in range(config.cases)]
-    jobs += [(nulls, i, answers) for i in range(config.nulls)]
+    version = CODE if rule == BASE else f"{CODE}/{words}"
+    counts = {"field": config.cases, "field_nulls": config.nulls}
+    cases = [Case(SUITES[n], config.seed, i, config.out, version) for n, count in counts.items() for i in range(count)]
     with ProcessPoolExecutor(config.processes, get_context("spawn"), set_constants, (RULES[rule],)) as pool:
-        return list(pool.map(_row, jobs))
+        return list(pool.map(_row, cases))
 
 
 def main(config: Config) -> None:
     """Print the table."""
     print(f"{'without or with another value':52} {'right only with/without':>24} {'pays':>5} {'CPU':>6}")
-    base, found = list[dict[str, Any]](), dict[str, Any]()
+    base, found = list[Row](), dict[str, Any]()
     for rule in RULES:
         if base and config.only and not any(word in rule for word in config.only):
             continue
         begun = time.monotonic()
         rows = rows_of(config, rule)
         base = base or rows
-        right, other = (np.array([row["correct"] for row in own], bool) for own in (base, rows))
+        right, other = (np.array([row.right for row in own], bool) for own in (base, rows))
         gained, lost, pays = compared(right, other, True)
-        cpu = np.nansum([row["cpu_seconds"] for row in rows]) / np.nansum([row["cpu_seconds"] for row in base])
+        cpu, _ = cpu_ratio([row.cpu_seconds for row in base], [row.cpu_seconds for row in rows])
         shown = f"{right.sum()} of {len(right)} right" if rows is base else f"{gained} / {lost}"
         print(f"{rule:52} {shown:>24} {'yes' if pays else 'no':>5} {cpu:6.2f}", flush=True)
         for row, first in zip(rows, base, strict=True):
-            if row["correct"] != first["correct"]:
-                note(f"    {row['case']} {row.get('hidden')}: {first.get('named')} -> {row.get('named')}")
+            if row.right != first.right:
+                note(f"    {row.case} {row.hidden}: {first.words} -> {row.words}")
         found[rule] = {"rows": rows, "seconds": time.monotonic() - begun}
         if config.json:
             write_json(config.json, found)

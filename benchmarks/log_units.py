@@ -18,9 +18,9 @@ from tempfile import TemporaryDirectory
 import mujoco
 import numpy as np
 import tyro
-from field_cases import Logging, log_rows
-from field_physics import SETTLE, Controlled, build, draw_calibration, move
-from field_robots import ROBOTS, FieldRobot
+from hidden_cases.field_cases import Logging, log_rows
+from hidden_cases.field_physics import SETTLE, Controlled, build, draw_calibration, move
+from hidden_cases.field_robots import ROBOTS, FieldRobot
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import open_dataset

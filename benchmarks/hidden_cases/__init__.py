@@ -1,7 +1,8 @@
 """Hidden cases with a sealed truth, for benchmarks and tests.
 
 `make_case` writes recordings of a simulated reality with an effect that the believed model lacks, drawn from a seed;
-`make_fitness_case` writes a table of trials. The simulator of reality shares no code with the search.
+`make_fitness_case` writes a table of trials. `field_cases`, `imu_walks`, `changed_arms` and `torque_arms` make cases
+like those that users bring. The simulators of reality share no code with the search.
 """
 
 from hidden_cases.case_sampling import PER_JOINT_EFFECTS, Missing

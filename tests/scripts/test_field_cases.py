@@ -15,7 +15,7 @@ FOLDER = Path(__file__).parents[2] / "benchmarks"
 @pytest.fixture
 def physics(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(str(FOLDER))
-    import field_physics
+    from hidden_cases import field_physics
 
     return field_physics
 
@@ -23,13 +23,13 @@ def physics(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 @pytest.fixture
 def cases(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(str(FOLDER))
-    import field_cases
+    from hidden_cases import field_cases
 
     return field_cases
 
 
 def commanded(physics: ModuleType, kind: str, duration: float = 0.5):
-    from field_robots import ROBOTS
+    from hidden_cases.field_robots import ROBOTS
 
     robot = ROBOTS[kind](np.random.default_rng(5))
     times = np.arange(-round(physics.SETTLE / robot.step), round(duration / robot.step)) * robot.step

@@ -53,7 +53,7 @@ TIME_IN_SAMPLE = 0.29
 _FIELD = 5.0
 """Tolerances outside a laboratory, in units of those of the library. With those of the library five of eight walking
 robots that lacked nothing, with faults of data, were said to lack damping, gains or a lag, with these none
-(`benchmarks/field_gate.py --robot legged --nulls --cases 8 --seed 2`)."""
+(`benchmarks/gate.py --suites field_legged_nulls --cases 8 --seed 2`)."""
 
 _FACTORS = {"viscous_damping": 10.0, "armature": 10.0, "ground_slope": 1.0, "torque_constant": 1.0}
 """The same of what nobody measures (damping, rotor inertia), and of what a spirit level tells."""

@@ -44,7 +44,7 @@ _DIVISORS = 2, 16
 
 _MAX_DIVIDED_ERROR = 2.8
 """Target of the RMS error of a divided step, in units of the noise; errors are of first order in the step. With half of
-it quadrupeds cost twice as much and are named no better (`benchmarks/naming_gate.py --robot quadruped`)."""
+it quadrupeds cost twice as much and are named no better (`benchmarks/gate.py --suites quadruped`)."""
 
 
 def fine_step(windows: Windows) -> float:

@@ -18,7 +18,7 @@ THRESHOLD = 15.0
 
 CONTACT_THRESHOLD = 100.0
 """The same of what moves contacts, whose directions are found anew: near a touchdown these are a matter of chance. The
-best such candidate of 70 simulated robots that lacked no such thing came to 73 (`benchmarks/naming_gate.py`)."""
+best such candidate of 70 simulated robots that lacked no such thing came to 73 (`benchmarks/gate.py`)."""
 
 HELD_OUT = 3.0
 """Gain that a name needs on held-out recordings, and on those that were fitted."""

@@ -1,18 +1,14 @@
-"""Forces that no effect of the library is, for the robots of `field_physics`: drawn, as functions, and compared.
+"""Forces that no effect of the library is, for the robots of `field_physics`: drawn, and as functions.
 
 law = draw_law(rng, "ripple", model, usual)          # plain data, for a truth file
 force, is_friction = hidden_force(law, model)        # a function of positions, velocities and time
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import mujoco
 import numpy as np
-
-from btr_mjx.gap.effects import KNOWN_EFFECTS
-from btr_mjx.gap.results import FoundEffect, resolve_effect
-from btr_mjx.gap.simulate import Rows, World
 
 HiddenForce = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 """From positions and velocities (nv,) and the time [s] to generalised forces, or to friction torques, (nv,)."""
@@ -87,82 +83,3 @@ def hidden_force(law: Mapping[str, Any], model: mujoco.MjModel) -> tuple[HiddenF
         return out
 
     return force, kind == "uneven friction"
-
-
-def positions(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
-    """(N, nv) positions of hinges and slides from configurations (N, nq)."""
-    out = np.zeros((len(qpos), model.nv))
-    for j in np.flatnonzero(model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)):
-        out[:, model.jnt_dofadr[j]] = qpos[:, model.jnt_qposadr[j]]
-    return out
-
-
-def true_force(
-    law: Mapping[str, Any], model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray
-) -> np.ndarray:
-    """(N, nv) force of a law where joints slide."""
-    force, is_friction = hidden_force(law, model)
-    rows = zip(positions(model, qpos), qvel, time, strict=True)
-    return np.array([force(q, v, t) * (-np.sign(v) if is_friction else 1.0) for q, v, t in rows])
-
-
-def found_force(
-    effects: Sequence[Mapping[str, Any]],
-    model: mujoco.MjModel,
-    qpos: np.ndarray,
-    qvel: np.ndarray,
-    torque: np.ndarray,
-    time: np.ndarray,
-) -> np.ndarray:
-    """(N, nv) generalised force that named effects add where joints slide, at rest of accelerations.
-
-    Args:
-      effects: entries of result.json.
-      model: the believed robot.
-      qpos: (N, nq).
-      qvel: (N, nv).
-      torque: (N, nv) forces of the actuators.
-      time: (N,) [s].
-    """
-    worlds = [World.of(model), World.of(model)]
-    for entry in effects:
-        effect, place, values = resolve_effect(model, FoundEffect.from_result(entry), KNOWN_EFFECTS)
-        effect.apply(worlds[1], place, values)
-    before, after = (_force(world, qpos, qvel, torque, time) for world in worlds)
-    return after - before
-
-
-def _force(world: World, qpos: np.ndarray, qvel: np.ndarray, torque: np.ndarray, time: np.ndarray) -> np.ndarray:
-    model = world.update_constants()
-    n, data = len(qpos), mujoco.MjData(model)
-    loss = np.tile(model.dof_frictionloss, (n, 1))
-    fields = {"dof_frictionloss": loss}
-    fields |= {
-        name: np.tile(getattr(model, name), (n, *[1] * getattr(model, name).ndim))
-        for law in world.laws
-        for name in law.fields
-        if name not in fields
-    }
-    applied = np.zeros((n, model.nv))
-    rows = Rows(
-        model,
-        time,
-        qpos,
-        qvel,
-        np.zeros((n, model.na)),
-        np.zeros((n, model.nu)),
-        applied,
-        np.zeros((n, model.nbody, 6)),
-        np.zeros((n, model.nactuator)),
-        torque,
-        fields,
-    )
-    for law in world.laws:
-        law(rows)
-    model.dof_frictionloss[:] = 0
-    out = applied - loss * np.sign(qvel)
-    for i in range(n):
-        data.qpos[:], data.qvel[:], data.qacc[:] = qpos[i], qvel[i], 0.0
-        mujoco.mj_inverse(model, data)
-        out[i] -= data.qfrc_inverse
-    return out

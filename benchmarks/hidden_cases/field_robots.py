@@ -1,7 +1,7 @@
 """Robots of `field_cases.py`: what a user believes of them, and how they are moved.
 
 A robot is MJCF text, a reference over time, and a controller where its motors take torques. Nothing here is shared with
-`hidden_cases`.
+the robots of `robots.py`.
 """
 
 from collections.abc import Callable, Sequence

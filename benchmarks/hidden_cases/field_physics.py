@@ -11,8 +11,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from field_laws import HiddenForce, hidden_force
-from field_robots import FieldRobot
+
+from hidden_cases.field_laws import HiddenForce, hidden_force
+from hidden_cases.field_robots import FieldRobot
 
 SETTLE = 0.5
 """Time before the first sample, in which the robot takes its first posture [s]."""

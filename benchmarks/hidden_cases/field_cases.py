@@ -12,9 +12,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from field_laws import draw_law
-from field_physics import SETTLE, Calibration, Controlled, Hidden, Motion, build, draw_calibration, move
-from field_robots import ROBOTS, FieldRobot
+
+from hidden_cases.field_laws import draw_law
+from hidden_cases.field_physics import SETTLE, Calibration, Controlled, Hidden, Motion, build, draw_calibration, move
+from hidden_cases.field_robots import ROBOTS, FieldRobot
 
 FAULTS = ("jitter", "coarse", "held", "lowpass", "late", "lost")
 """Faults of data: time stamps that come late by 0.8 ms on average, encoders of 5 mrad (1 mm), commands that a

@@ -1,41 +1,29 @@
-"""Quadrupeds in the field: encoders, an inertial unit and torques instead of motion capture.
+"""Quadrupeds in the field: recordings with encoders, an inertial unit and torques instead of motion capture.
 
-    uv run python benchmarks/legged.py --json with_imu.json               # 12 cases and 6 in which nothing is missing
-    uv run python benchmarks/legged.py --sensors pose --json pose.json    # the same robots and motions, with a pose
-    uv run python benchmarks/legged.py --fault late                       # the inertial unit is one row late
+    make_walks(folder, seed=1, index=0, sensors="imu", fault="late")        # writes the folder, returns the truth
 
-Two generators make the robots: `hidden_cases` and `field_robots`. Encoders have 1 mrad and 0.05 rad/s of noise, the
-unit 0.005 rad/s, 0.1 m/s^2 and 0.01 rad, and is turned by 2 degrees on its base; reported torques are 4 % off. A case
-is made once and kept, an answer is kept under the digest of the code that computed it. Exit code: 1 where a case
-failed.
+Two simulators make the robots: that of `cases` and that of `field_cases`. Encoders have 1 mrad and 0.05 rad/s of noise,
+the unit 0.005 rad/s, 0.1 m/s^2 and 0.01 rad, and is turned by 2 degrees on its base; reported torques are 4 % off.
 """
 
-import os
-import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from typing import Any
 
 import mujoco
 import numpy as np
-import tyro
-from field_cases import usual_sizes
-from field_gate import judge, solve
-from field_physics import SETTLE, Calibration, Controlled, build, draw_calibration, move
-from field_robots import ROBOTS
-from hidden_cases import case_robot
+
+from btr_mjx.models import integrate
+from btr_mjx.runs import write_arrays
 from hidden_cases.case_sampling import Draw
 from hidden_cases.cases import draw_reality
+from hidden_cases.field_cases import usual_sizes
+from hidden_cases.field_physics import SETTLE, Calibration, Controlled, build, draw_calibration, move
+from hidden_cases.field_robots import ROBOTS
 from hidden_cases.imu import Mount, imu_columns, with_fault, with_imu
 from hidden_cases.motion import peak_loads, simulate_reality
-from naming_gate import CODE
-
-from btr_mjx.errors import cli_errors
-from btr_mjx.models import integrate
-from btr_mjx.runs import note, read_json, write_arrays, write_json
+from hidden_cases.robots import case_robot
 
 EFFECTS = ("payload", "ground_friction", "viscous_damping", "dry_friction", "actuator_gain", "actuator_delay")
 RATE = 200
@@ -46,24 +34,6 @@ POSE = (1e-3, 2e-3, 2e-2, 3e-2)
 """Noise of a measured base: position [m], rotation [rad], velocity [m/s], angular velocity [rad/s]."""
 NULLS = 3
 """Nulls of each generator."""
-
-
-@dataclass(frozen=True)
-class Config:
-    """Settings; every field is a flag."""
-
-    sensors: Literal["imu", "pose"] = "imu"
-    """What is measured of the base: an inertial unit, and its pose, too."""
-    fault: Literal["none", "jitter", "lost", "late", "held", "lowpass", "coarse"] = "none"
-    """Fault of the logs, see `hidden_cases.imu.FAULTS`."""
-    only: tuple[int, ...] = ()
-    """Numbers of cases; all by default."""
-    seed: int = 1
-    """Seed of the cases."""
-    out: Path = Path("runs/legged")
-    """Folder of the cases and of the answers of all versions."""
-    json: Path | None = None
-    """Write the rows of all cases here."""
 
 
 @dataclass(frozen=True)
@@ -145,53 +115,57 @@ def _field_effect(
     return {"effect": name, "location": location, "parameters": {k: float(v) for k, v in parameters.items()}}
 
 
-def make_case(folder: Path, seed: tuple[int, ...], generator: str, effect: str | None, fault: str) -> dict[str, Any]:
-    """Write the folders `imu` and `pose` of a case; returns the truth."""
-    rng = np.random.default_rng(seed)
+def make_walks(folder: Path, seed: int, index: int, sensors: str, fault: str) -> dict[str, Any]:
+    """Write the folder of a case.
+
+    Args:
+      folder: gets model.xml, dataset.toml and walks.
+      seed: of everything random.
+      index: number of the case: twelve with an effect, then six with none, and so on.
+      sensors: what is measured of the base: "imu", or "pose" beside it, of the same robots and motions.
+      fault: of `imu.FAULTS`, or "none".
+
+    Returns:
+      The truth.
+    """
+    kinds = list(cases())
+    generator, effect = kinds[index % len(kinds)]
+    rng = np.random.default_rng((seed, index))
     xml, walks, hidden = (demo_walks if generator == "demo" else field_walks)(rng, effect)
     model = mujoco.MjModel.from_xml_string(xml)
     mount, constant, gravity = Mount.drawn(rng), 1 + 0.04 * rng.standard_normal(model.nu), model.opt.gravity
     joints = [j for j in range(model.njnt) if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_FREE]
-    base = model.joint(0).name
-    for sensors in ("imu", "pose"):
-        (folder / sensors).mkdir(parents=True, exist_ok=True)
-        (folder / sensors / "model.xml").write_text(xml)
+    names, base = tuple(model.joint(j).name for j in joints), model.joint(0).name
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "model.xml").write_text(xml)
     files = ""
     for number, walk in enumerate(walks):
         qpos, qvel, count = walk.qpos[1::2], walk.qvel[1::2], len(walk.time)
         columns = {"time": walk.time}
         columns |= {f"ctrl/{model.actuator(a).name}": walk.ctrl[:, a] for a in range(model.nu)}
-        for j in joints:
-            q, v, name = int(model.jnt_qposadr[j]), int(model.jnt_dofadr[j]), model.joint(j).name
+        for j, name in zip(joints, names, strict=True):
+            q, v = int(model.jnt_qposadr[j]), int(model.jnt_dofadr[j])
             columns[f"qpos/{name}"] = qpos[:, q] + ANGLE * rng.standard_normal(count)
             columns[f"qvel/{name}"] = qvel[:, v] + SPEED * rng.standard_normal(count)
         torque = constant * walk.torque + TORQUE * rng.standard_normal(walk.torque.shape)
         columns |= {f"force/{model.actuator(a).name}": torque[:, a] for a in range(model.nu)}
         half = 0.5 / RATE
         between = np.append(walk.time - half, walk.time[-1] + half)
-        unit = imu_columns(between, walk.qpos, walk.qvel, gravity, mount, rng)
+        columns |= imu_columns(between, walk.qpos, walk.qvel, gravity, mount, rng)
+        # Drawn whether it is written or not, so that both kinds of logs have the same noise.
         errors = np.zeros((count, model.nv))
         errors[:, :6] = np.repeat(POSE[:2], 3) * rng.standard_normal((count, 6))
         posed = integrate(model, qpos, errors)[:, :7]
         speed = qvel[:, :6] + np.repeat(POSE[2:], 3) * rng.standard_normal((count, 6))
-        pose = {f"qpos/{base}/{part}": posed[:, i] for i, part in enumerate(("x", "y", "z", "qw", "qx", "qy", "qz"))}
-        pose |= {f"qvel/{base}/{part}": speed[:, i] for i, part in enumerate(("vx", "vy", "vz", "wx", "wy", "wz"))}
-        for sensors, measured in (("imu", unit), ("pose", unit | pose)):
-            logged = columns | measured
-            names = tuple(model.joint(j).name for j in joints)
-            with_fault(logged, fault, names, np.random.default_rng((*seed, number)))
-            write_arrays(folder / sensors / f"walk_{number:02d}.npz", logged)
+        if sensors == "pose":
+            columns |= {f"qpos/{base}/{n}": posed[:, i] for i, n in enumerate(("x", "y", "z", "qw", "qx", "qy", "qz"))}
+            columns |= {f"qvel/{base}/{n}": speed[:, i] for i, n in enumerate(("vx", "vy", "vz", "wx", "wy", "wz"))}
+        with_fault(columns, fault, names, np.random.default_rng((seed, index, number)))
+        write_arrays(folder / f"walk_{number:02d}.npz", columns)
         files += f'\n[[recording]]\nfile = "walk_{number:02d}.npz"\n'
-    for sensors in ("imu", "pose"):
-        text = f'[model]\nfile = "model.xml"\n\n[control]\ninterpolation = "cubic"\n{files}'
-        (folder / sensors / "dataset.toml").write_text(text)
-    return {
-        "robot": generator,
-        "effects": hidden,
-        "visible": [],
-        "faults": [fault],
-        "constant": constant.tolist(),
-    }
+    text = f'[model]\nfile = "model.xml"\n\n[control]\ninterpolation = "cubic"\n{files}'
+    (folder / "dataset.toml").write_text(text)
+    return {"robot": generator, "effects": hidden, "faults": [fault], "constant": constant.tolist()}
 
 
 def cases() -> Iterator[tuple[str, str | None]]:
@@ -199,47 +173,3 @@ def cases() -> Iterator[tuple[str, str | None]]:
     for effect in (*EFFECTS, *[None] * NULLS):
         for generator in ("demo", "field"):
             yield generator, effect
-
-
-def solved_case(config: Config, number: int, generator: str, effect: str | None) -> Mapping[str, Any]:
-    """Make and solve a case, unless that was done."""
-    faulty = "" if config.fault == "none" else f"-{config.fault}"
-    name = f"{generator}-{effect or 'none'}-{config.seed}-{number:02d}{faulty}"
-    folder, kept = config.out / name, config.out / "answers" / CODE / f"{name}-{config.sensors}.json"
-    if not (folder / "truth.json").is_file():
-        write_json(folder / "truth.json", make_case(folder, (config.seed, number), generator, effect, config.fault))
-    if not kept.is_file():
-        write_json(kept, solve(folder / config.sensors))
-    answer, truth = read_json(kept), read_json(folder / "truth.json")
-    model = mujoco.MjModel.from_xml_path(str(folder / config.sensors / "model.xml"))
-    return {"case": name, **judge(model, truth, answer)}
-
-
-def main(config: Config) -> None:
-    """Run the benchmark."""
-    rows = []
-    for number, (generator, effect) in enumerate(cases()):
-        if config.only and number not in config.only:
-            continue
-        begun = time.monotonic()
-        row = solved_case(config, number, generator, effect)
-        rows.append(row)
-        words = f"{', '.join(row['hidden']) or 'nothing'}: {row['said']} {', '.join(row['named'])}"
-        note(f"{row['case']} {words}; {row['cpu_seconds']:.0f} CPU-s, {time.monotonic() - begun:.0f} s")
-        if config.json:
-            write_json(config.json, rows)
-    found = [row for row in rows if not row["null"]]
-    nulls = [row for row in rows if row["null"]]
-    print(f"right name and place: {sum(bool(row['right']) for row in found)} of {len(found)}")
-    print(f"with a false name beside it or instead: {sum(bool(row['extra']) for row in found)}")
-    print(f"nulls named: {sum(bool(row['named']) for row in nulls)} of {len(nulls)}")
-    if rows:
-        print(
-            f"CPU-s, median and largest: {np.median([r['cpu_seconds'] for r in rows]):.0f}, "
-            f"{max(r['cpu_seconds'] for r in rows):.0f}"
-        )
-
-
-if __name__ == "__main__":
-    with cli_errors():
-        main(tyro.cli(Config, description=__doc__))
