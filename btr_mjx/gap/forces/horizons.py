@@ -12,6 +12,7 @@ import numpy as np
 
 from btr_mjx.gap.data import Recording
 from btr_mjx.gap.effects import Hypothesis
+from btr_mjx.gap.forces.kalman_filter import NU
 from btr_mjx.gap.forces.motion import time_step
 from btr_mjx.gap.forces.points import ForceSide, Point
 from btr_mjx.gap.forces.unknowns import Library
@@ -242,9 +243,14 @@ def _nearest(
     root = np.linalg.cholesky(np.linalg.inv(covariance)).T
     seen, rms = scale
 
+    # Errors have heavy tails as forces have: somebody touches the robot, a pendulum passes its top on the other side.
+    square = [((e[..., seen] / rms) ** 2).mean(1, keepdims=True) for e in errors[0]]
+    weights = [np.sqrt((NU + 1) / (NU + own)) for own in square]
+
     def residual(values: np.ndarray, found: Sequence[np.ndarray]) -> np.ndarray:
         """(N,): each simulation counts as one measured value per joint, since its errors go together."""
-        own = [(e[..., seen] / rms / np.sqrt(e.shape[1])).ravel() for e in found]
+        pairs = zip(found, weights, strict=True)
+        own = [(e[..., seen] * w / rms / np.sqrt(e.shape[1])).ravel() for e, w in pairs]
         return np.concatenate([*own, root @ (values - start)])
 
     def residuals(many: Sequence[np.ndarray]) -> list[np.ndarray]:
