@@ -14,7 +14,7 @@ _SETTINGS = ("robot", "template", "reality_model", "fitness")
 
 
 def keep_inputs(folder: Path, config: RunSettings, robot: Robot, reality: Reality | None = None) -> None:
-    """Copy the files of a run's settings into its folder, where a copy is missing or was altered."""
+    """Copy the files of a run's settings that are there into its folder, where a copy is missing or was altered."""
     named = {}
     if config.robot is not None and config.robot.exists():
         named["robot"] = files_of_robot(config.robot, robot)
@@ -22,7 +22,7 @@ def keep_inputs(folder: Path, config: RunSettings, robot: Robot, reality: Realit
         named["template"] = files_of_model(robot)
     if getattr(config, "reality_model", None) is not None and isinstance(reality, SimulatedReality):
         named["reality_model"] = files_of_model(reality.robot)
-    if (file := _file(config.fitness)) is not None:
+    if (file := _file(config.fitness)) is not None and file.exists():
         named["fitness"] = [file.resolve()]
     keep_files(folder, named)
 

@@ -52,7 +52,7 @@ def keep_files(folder: Path, named: Mapping[str, Sequence[Path]]) -> None:
     if size > _MOST_BYTES:
         note(f"the robot's files ({size >> 20} MiB) are not copied: the run needs them where they are")
         return
-    index = {}
+    index = {name: copy.relative_to(folder / COPIES).as_posix() for name, copy in kept_files(folder).items()}
     for setting, files in named.items():
         root = Path(os.path.commonpath([file.parent for file in files])).parent  # a robot is named by its folder
         for file in dict.fromkeys(files):

@@ -29,7 +29,7 @@ OTHERS = {
     "porcelain",
     "xla",
     "cases",
-    "nulls",
+    "suites",
     "no",
 }
 """Flags of other programs that are named or used: uv, pip, git, Dask, XLA, benchmarks; and the beginning of --no-..."""
