@@ -50,3 +50,13 @@ def _switch(folder: Path) -> str:
 
 TOY = Suite("toy", 2, 7, make, solve, judge)
 SLOW_TOY = Suite("toy", 2, 7, make, partial(solve, slow=2.0), judge)
+
+
+def named(name: str, location: str, **values: float) -> dict[str, Any]:
+    numbers = {k.replace("__", "[") + "]" * ("__" in k): v for k, v in values.items()}
+    parameters = {k: {"value": v, "low": v - 0.1, "high": v + 0.1, "null": 0.0} for k, v in numbers.items()}
+    return {"effect": name, "location": location, "parameters": parameters}
+
+
+def answer(*effects: dict[str, Any], verdict: str | None = None) -> dict[str, Any]:
+    return {"verdict": verdict or ("effect" if effects else "none"), "effects": list(effects), "cpu_seconds": 1.0}
