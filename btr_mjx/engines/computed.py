@@ -182,7 +182,8 @@ def _plain_rows() -> Mapping[str, np.ndarray | None]:
     arrays = [name for name in dir(plain) if not name.startswith("_") and isinstance(getattr(plain, name), np.ndarray)]
     options = [f"opt.{name}" for name in dir(plain.opt) if not name.startswith("_")]
     table: dict[str, np.ndarray | None] = {}
-    for field in arrays + options:
+    # Addresses come last: "springyield" tells a user more than where the compiler keeps the state that comes of it.
+    for field in sorted(arrays + options, key=lambda name: name.endswith("adr")):
         if influences_motion(field) and field not in VARYING | _SAME and not field.startswith(_SHAPES):
             rows = np.unique(_elements(base_field(plain, field)), axis=0)
             table[field] = rows if rows.size else None
