@@ -88,6 +88,15 @@ def test_a_motor_that_is_a_little_stronger_is_calibration():
 DELAY = (*OWN, *(e for e in EFFECTS if e.name == "actuator_delay"))
 
 
+@pytest.mark.parametrize("late", [-0.0025, 0.0025])
+def test_when_commands_act_within_a_sample_belongs_to_the_log(late):
+    """The believed model predicts down to the noise, with its commands at the time at which they acted."""
+    found = diagnosis(7, effects=DELAY, late=late)
+    assert (found.verdict, found.effects) == ("none", ())
+    assert found.misfit.noise_before
+    assert found.misfit.before == pytest.approx(1, abs=0.1)
+
+
 def test_commands_that_act_before_their_stamps_are_a_fault_of_the_log():
     found = diagnosis(6, most=2, effects=DELAY, late=0.012)
     assert found.verdict == "none"
