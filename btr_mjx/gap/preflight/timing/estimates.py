@@ -144,7 +144,7 @@ def regressed(
     # A column that nothing changes, as the friction of a model without, has no value.
     scale = np.sqrt(np.einsum("wnp,wnp->p", matrix, matrix))
     used = np.flatnonzero(scale > 0)
-    matrix, known = matrix[..., used] / scale[used], 1 / (scale * np.array(spread))[used] ** 2
+    matrix, known = matrix[..., used] / scale[used], 1 / (scale[used] * np.array(spread)[used]) ** 2
     power, pull = np.einsum("wnp,wnq->pq", matrix, matrix), np.einsum("wnp,wn->p", matrix, target)
     per_stretch, variance = target.shape[1], 0.0
     for _ in range(3):  # the prior counts in units of what is left, whose samples of a stretch err together
