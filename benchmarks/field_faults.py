@@ -182,7 +182,7 @@ CASES: Mapping[str, Case] = {
     "gravcomp": Case(
         (".",),
         "gravity compensation, found or told, or unexplained",
-        lambda a: a.verdict == "unexplained" or "gravity" in a.told or bool(a.sizes("gravity_compensation", "all")),
+        lambda a: a.verdict == "unexplained" or "gravity" in a.told or bool(a.sizes("gravity_compensation", "world")),
     ),
     "asym_friction": Case(
         (".",), "both frictions as a law, or friction at lift of about 0.2 with a part unexplained", _asymmetric

@@ -12,7 +12,7 @@ from hidden_cases import case_robot
 from btr_mjx.errors import InputError
 from btr_mjx.gap.data import Dataset, Recording
 from btr_mjx.gap.preflight import Finding, preflight, refuse_errors
-from btr_mjx.models import PathParameter
+from btr_mjx.models import PathParameter, part_names
 
 ROBOT = case_robot("arm")
 
@@ -179,6 +179,20 @@ def with_unstable_servo(servo: int, share: float = 1.0) -> Dataset:
     some = round(share * len(SOUND.recordings))
     recordings = [dataclasses.replace(r, model=model) if i < some else r for i, r in enumerate(SOUND.recordings)]
     return dataclasses.replace(SOUND, recordings=tuple(recordings))
+
+
+@pytest.mark.parametrize(("armature", "chatters"), [(0.0, True), (1.0, False)])
+def test_a_servo_that_jumps_between_its_limits_is_told(armature: float, chatters: bool) -> None:
+    """At its force limit MuJoCo integrates a servo's damping explicitly; with the inertia of a drive it is stable."""
+    model = mujoco.MjModel.from_xml_string(ROBOT.xml)
+    model.actuator_biasprm[4, 2] = -1e4 * model.dof_M0[4]
+    model.actuator_forcelimited[4], model.actuator_forcerange[4] = 1, [-5, 5]
+    model.dof_armature[4] += armature * 1e4 * model.dof_M0[4] * model.opt.timestep
+    recordings = tuple(dataclasses.replace(r, model=model) for r in SOUND.recordings)
+    warnings = of_level(preflight(dataclasses.replace(SOUND, model=model, recordings=recordings)), "warning")
+    told = [one for one in warnings if "jumps from one limit to the other" in one]
+    assert bool(told) == chatters
+    assert all(part_names(model, "actuator")[4] in one for one in told)
 
 
 def test_unstable_model_is_an_error() -> None:
