@@ -11,7 +11,6 @@ from stepping import stepped
 
 from btr_mjx.gap.data import Dataset, Noise, Recording
 from btr_mjx.gap.effects import Effect, Hypothesis, candidates
-from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.points import ForceSide
 from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
 from btr_mjx.gap.forces.unknowns import library_of
@@ -118,11 +117,10 @@ def believed() -> Hypothesis:
 
 
 def arm_side(stretches: Stretches, effects: Sequence[Effect]) -> ForceSide:
-    """A side of the split with the columns of effects."""
+    """A side of the split with a library of effects."""
     model = stretches.data.recordings[0].model
     library = library_of(candidates(model, scales_of(stretches.data), effects), model, (), {}, 0.005)
-    counter = Counter()
-    return ForceSide(stretches, library, responses(stretches, believed(), library.numbers, counter), counter)
+    return ForceSide(stretches, library, Counter())
 
 
 def shortened(stretches: Stretches, count: int, intervals: int) -> Stretches:

@@ -33,13 +33,12 @@ from btr_mjx.gap.forces.final_numbers import last_numbers, without_invisible
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_confirmed
 from btr_mjx.gap.forces.law_scan import scan_laws
 from btr_mjx.gap.forces.missing_force import missing_force
-from btr_mjx.gap.forces.motion import responses
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point
 from btr_mjx.gap.forces.predictions import horizon_errors, predicts_well, predicts_worse
 from btr_mjx.gap.forces.residual import fit_residual
 from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
 from btr_mjx.gap.forces.sets.carried import Carried, carried_library, with_room
-from btr_mjx.gap.forces.stretches import Stretches, spread_stretches
+from btr_mjx.gap.forces.stretches import spread_stretches
 from btr_mjx.gap.forces.unknowns import (
     BELIEVED,
     Library,
@@ -195,11 +194,9 @@ def search_forces(
         possible = with_room(possible, known)
         library = library_of(possible, model, dataset.parameters, dataset.tolerances, interval, of_log)
         library = carried_library(library, known)
-    test = ForceSide(other, library, np.zeros((0,)), counter)
+    side, test = (ForceSide(own, library, counter) for own in (stretches, other))
     counter.expect(_START_STEPS * (len(library.numbers) + 10 * len(library.calibrated)) * stretches.time.size)
-    side, first = start(
-        ForceSide(stretches, library, _of_calibration(stretches, library, base, counter), counter), base
-    )
+    first = start(side, base)
     # Drives that were there before do not vanish all at once.
     confirm = partial(is_confirmed, test)
     rounds, confirmed, contradicted = select_effects(
@@ -260,14 +257,6 @@ def _as_logged(library: Library, make: Hypothesis, fit: Fitted) -> Hypothesis:
         if candidate.effect.name == TIMING:
             make = make.with_effect(candidate, values)
     return make
-
-
-def _of_calibration(stretches: Stretches, library: Library, base: Hypothesis, counter: Counter) -> np.ndarray:
-    """(S, K, 2 nv, C) columns, of calibration alone."""
-    used = sorted({column for entry in library.calibrated for own in entry.columns for column in own})
-    columns = np.zeros((len(stretches), stretches.intervals, len(stretches.sigma), len(library.numbers)))
-    columns[..., used] = responses(stretches, base, [library.numbers[column] for column in used], counter)
-    return columns
 
 
 def _found(

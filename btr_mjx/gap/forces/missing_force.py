@@ -7,15 +7,16 @@ weighs a thousand times its link has no linear picture there. This is the usual 
 dynamic identification model; Gautier 1997). It serves as a start: what is fitted and judged are measurements.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 import scipy
 
-from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.models import between, integrate
+from btr_mjx.gap.simulate import Counter, needed_forces
+from btr_mjx.gap.windows import MakeWorld
+from btr_mjx.models import between
 
 _SLOW = 0.05
 """Part of the usual speed below which dry friction is not at its full size."""
@@ -45,46 +46,37 @@ class MissingForce:
     acceleration: np.ndarray
 
 
-def missing_force(stretches: Stretches, base: Hypothesis) -> MissingForce:
-    """Inverse dynamics of a hypothesis in the middle of all intervals, from smoothed states.
+def missing_forces(
+    stretches: Stretches, makes: Sequence[MakeWorld], counter: Counter | None = None
+) -> list[MissingForce]:
+    """Inverse dynamics of hypotheses in the middle of all intervals, from smoothed states.
 
     Args:
       stretches: with smoothed states.
-      base: the hypothesis; its laws are left out.
+      makes: the hypotheses.
+      counter: adds up the evaluations.
     """
-    shape = (len(stretches), stretches.intervals, stretches.qvel.shape[-1])
-    out = {name: np.empty(shape) for name in ("force", "actuator", "velocity", "acceleration")}
-    for s, r in enumerate(stretches.recording):
-        world = base(stretches.data.recordings[r].model)
-        model = world.update_constants()
-        data = mujoco.MjData(model)
-        command = world.command(stretches.data.commands[r])
-        time = stretches.time[s]
-        length = np.diff(time)
-        true = integrate(model, stretches.qpos[s], -world.offset)
-        first, last = (true[:-1], stretches.qvel[s, :-1]), (true[1:], stretches.qvel[s, 1:])
-        middle = between(model, first, last, np.full(len(length), 0.5), float(np.median(length)))
-        rate = (last[1] - first[1]) / length[:, None]
-        controls = command.over_step(time[:-1], float(np.median(length)), 0.5)
-        for k, (q, v) in enumerate(zip(*middle, strict=True)):
-            data.qpos[:], data.qvel[:], data.qacc[:], data.ctrl[:] = q, v, rate[k], controls[k]
-            if model.na:
-                data.act[:] = stretches.act[s, k]
-            mujoco.mj_inverse(model, data)
-            mujoco.mj_fwdActuation(model, data)
-            out["force"][s, k] = data.qfrc_inverse - data.qfrc_actuator - _of_wrench(model, data, world.wrench)
-            out["actuator"][s, k] = data.qfrc_actuator
-            out["velocity"][s, k], out["acceleration"][s, k] = v, rate[k]
-    return MissingForce(**out)
+    interval, counter = np.diff(stretches.time, axis=1), counter or Counter()
+    length, shape = float(np.median(interval)), (*interval.shape, stretches.qvel.shape[-1])
+    force, actuator = (np.empty((len(makes), *shape)) for _ in range(2))
+    middle = 0.5 * (stretches.qvel[:, 1:] + stretches.qvel[:, :-1])
+    acceleration = np.diff(stretches.qvel, axis=1) / interval[..., None]
+    slow = _SLOW * np.sqrt((middle**2).mean((0, 1))) + 1e-12
+    start = stretches.qpos[:, :-1], stretches.qvel[:, :-1]
+    for own, model, segments in stretches.segments(slice(-1), *start, np.zeros(interval.shape)):
+        ends = [x[own][:, 1:].reshape(-1, x.shape[-1]) for x in (stretches.qpos, stretches.qvel)]
+        half = np.full(len(segments), 0.5)
+        qpos, qvel = between(model, (segments.qpos, segments.qvel), (ends[0], ends[1]), half, length)
+        at, rate = replace(segments, qpos=qpos, qvel=qvel), acceleration[own].reshape(qvel.shape)
+        found = needed_forces([(make(model), at) for make in makes], [rate] * len(makes), length, slow, counter)
+        for i, row in enumerate(found):
+            force[i, own], actuator[i, own] = (x.reshape(len(own), *shape[1:]) for x in row)
+    return [MissingForce(f, a, middle, acceleration) for f, a in zip(force, actuator, strict=True)]
 
 
-def _of_wrench(model: mujoco.MjModel, data: mujoco.MjData, wrench: np.ndarray) -> np.ndarray:
-    """(nv,) generalised force of forces and torques (nbody, 6) on bodies."""
-    out = np.zeros(model.nv)
-    for body in np.flatnonzero(wrench.any(1)):
-        force, torque = wrench[body, :3, None], wrench[body, 3:, None]
-        mujoco.mj_applyFT(model, data, force, torque, data.xipos[body], body, out)
-    return out
+def missing_force(stretches: Stretches, base: MakeWorld) -> MissingForce:
+    """The same of one hypothesis."""
+    return missing_forces(stretches, [base])[0]
 
 
 def drives(missing: MissingForce, spring: np.ndarray | None = None) -> np.ndarray:

@@ -1,6 +1,6 @@
 """A hypothesis with its numbers and calibration, fitted by Gauss-Newton steps in true simulation."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,14 +24,12 @@ class ForceSide:
 
     Attributes:
       stretches: of its recordings.
-      library: columns of the search.
-      columns: (S, K, 2 nv, C) responses to all of them beside the believed model.
+      library: of the search.
       counter: adds up the simulated steps.
     """
 
     stretches: Stretches
     library: Library
-    columns: np.ndarray
     counter: Counter
 
 
@@ -202,20 +200,31 @@ def _whitened(
 
 def _own_columns(side: ForceSide, point: Point, stretches: Stretches) -> np.ndarray:
     """(S, K, 2 nv, p) derivatives with respect to the numbers of named effects, each at its value."""
-    out = [side.columns[..., :0]]
+    out = [_no_columns(stretches)]
+    for beside, numbers in named_numbers(side.library, point):
+        out.append(responses(stretches, beside, numbers, side.counter))
+    return np.concatenate(out, -1)
+
+
+def named_numbers(library: Library, point: Point) -> Iterator[tuple[Hypothesis, list[FreeNumber]]]:
+    """For each named effect the hypothesis without it, and its numbers at their values."""
     for i, (candidate, values) in enumerate(point.named):
         numbers = [
             FreeNumber(candidate, j, values, _step(own, values[j])) for j, own in enumerate(candidate.parameters)
         ]
-        out.append(responses(stretches, point.hypothesis(side.library, without=i), numbers, side.counter))
-    return np.concatenate(out, -1)
+        yield point.hypothesis(library, without=i), numbers
+
+
+def _no_columns(stretches: Stretches) -> np.ndarray:
+    """(S, K, nx, 0)."""
+    return np.zeros((len(stretches), stretches.intervals, len(stretches.sigma), 0))
 
 
 def _calibration_columns(side: ForceSide, point: Point, stretches: Stretches) -> np.ndarray:
     """(S, K, 2 nv, n) derivatives with respect to calibration, at its values and beside named effects."""
     library = side.library
     if not library.calibrated:
-        return side.columns[..., :0]
+        return _no_columns(stretches)
     numbers = []
     for entry, value in zip(library.calibrated, point.calibration, strict=True):
         own, index = library.numbers[entry.columns[0][0]], calibrated_number(library, entry)

@@ -9,10 +9,11 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.drive import drive_points
 from btr_mjx.gap.forces.evidence import CalibrationPrior, least_squares
+from btr_mjx.gap.forces.force_columns import force_columns
 from btr_mjx.gap.forces.kalman_filter import SPAN, Variances, filtered
 from btr_mjx.gap.forces.law_scan import scan_laws
-from btr_mjx.gap.forces.motion import linearise_motion, responses
-from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, names
+from btr_mjx.gap.forces.motion import linearise_motion
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, named_numbers, names
 from btr_mjx.gap.forces.predictions import RELATIVE_ERROR, compared_predictions
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
 from btr_mjx.gap.forces.settling import settled
@@ -68,14 +69,14 @@ def first_variances(side: ForceSide, hypothesis: Hypothesis) -> Variances:
     )
 
 
-def start(side: ForceSide, base: Hypothesis) -> tuple[ForceSide, Fitted]:
-    """The believed model with calibration and variances at their best, and columns taken there.
+def start(side: ForceSide, base: Hypothesis) -> Fitted:
+    """The believed model with calibration and variances at their best.
 
     Columns of the believed model at measured states are wrong by what calibration changes, and a step along them leads
-    past the best: another effect, with columns of its own, would take what calibration leaves.
+    past the best: it settles once more, with columns that are taken where it was.
 
     Args:
-      side: the recordings to fit, with columns of calibration.
+      side: the recordings to fit.
       base: the believed model.
 
     Raises:
@@ -88,12 +89,19 @@ def start(side: ForceSide, base: Hypothesis) -> tuple[ForceSide, Fitted]:
             "model: its motion from one sample to the next cannot be computed; a joint or body has hardly any inertia: "
             "give it its mass, or the joint an armature"
         )
-    at = {e.columns[0][0]: v for e, v in zip(side.library.calibrated, fit.point.calibration, strict=True)}
-    numbers = [with_refitted(number, at.get(i, 0.0)) for i, number in enumerate(side.library.numbers)]
-    stretches = fit.stretches
-    columns = responses(stretches, fit.point.hypothesis(side.library), numbers, side.counter)
-    side = replace(side, columns=columns)
-    return side, settled(side, fit.point, fit.variances, about=stretches)
+    return settled(side, fit.point, fit.variances, about=fit.stretches)
+
+
+def library_columns(side: ForceSide, fit: Fitted) -> np.ndarray:
+    """(S, K, nx, C + p) columns of the library and of named numbers, beside a fit and its calibration, as forces.
+
+    What an effect does depends on the motion beside it: where a delay is not yet named, servos pull with other forces.
+    """
+    library = side.library
+    at = {e.columns[0][0]: v for e, v in zip(library.calibrated, fit.point.calibration, strict=True)}
+    numbers = [with_refitted(number, at.get(i, 0.0)) for i, number in enumerate(library.numbers)]
+    rows = [(fit.point.hypothesis(library), numbers), *named_numbers(library, fit.point)]
+    return np.concatenate([force_columns(fit.linear, base, own, side.counter) for base, own in rows], -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +116,9 @@ class _Scene:
 
 def _scene(side: ForceSide, fit: Fitted) -> _Scene:
     library, p = side.library, fit.point.numbers
-    whitened = filtered(fit.linear, np.concatenate([side.columns, fit.columns[..., :p]], -1), fit.variances)
+    whitened = filtered(
+        fit.linear, np.concatenate([library_columns(side, fit), fit.columns[..., :p]], -1), fit.variances
+    )
     c = len(library.numbers)
     given = np.zeros((c + p, p))
     given[c + np.arange(p), np.arange(p)] = 1.0

@@ -11,6 +11,7 @@ from btr_mjx.gap.simulate.commands import Command, command_phase
 from btr_mjx.gap.simulate.following import followed_search
 from btr_mjx.gap.simulate.journal import Journal
 from btr_mjx.gap.simulate.laws import Rows, StateLaw
+from btr_mjx.gap.simulate.needed_forces import needed_forces
 from btr_mjx.gap.simulate.segments import Job, Segments
 from btr_mjx.gap.simulate.threads import run_in_threads
 from btr_mjx.gap.simulate.world import World, differing_fields, fingerprint
@@ -29,6 +30,7 @@ __all__ = [
     "differing_fields",
     "fingerprint",
     "followed_search",
+    "needed_forces",
     "run_in_threads",
     "simulate",
 ]

@@ -177,13 +177,13 @@ class PreparedBatch:
 
 
 def prepared_batch(
-    block: Sequence[Piece], jobs: Sequence[Job], timestep: float | None, threads: int | None
+    block: Sequence[Piece], jobs: Sequence[Job], timestep: float | None, threads: int | None, disabled: int = 0
 ) -> PreparedBatch:
-    """The batch of a block: models, states and times at the starts of its segments."""
+    """The batch of a block: models, states and times at the starts of its segments; bits of `disabled` are left out."""
     base = copy.copy(jobs[block[0][0]][0].update_constants())
     if timestep is not None:
         base.opt.timestep = timestep
-    base.opt.disableflags |= _unneeded_features(base)
+    base.opt.disableflags |= _unneeded_features(base) | disabled
     pieces = [(jobs[i][0], jobs[i][1].take(slice(a, b))) for i, a, b in block]
     ends = np.cumsum([len(segments) for _, segments in pieces])
     rows = [slice(end - len(segments), end) for end, (_, segments) in zip(ends, pieces, strict=True)]

@@ -156,8 +156,11 @@ class Sampler:
 class Controls:
     """Controls of all rows, evaluated once per distinct (segments, command edits), for a block of steps at a time."""
 
-    def __init__(self, pieces: Sequence[Job], rows: Sequence[slice], dt: float, nu: int) -> None:
-        self._pieces, self._rows, self._dt, self._nu = pieces, rows, dt, nu
+    def __init__(
+        self, pieces: Sequence[Job], rows: Sequence[slice], dt: float, nu: int, phase: float | None = None
+    ) -> None:
+        """Prepare; values that are not held are taken at a phase of the step, see `command_phase` for None."""
+        self._pieces, self._rows, self._dt, self._nu, self._phase = pieces, rows, dt, nu, phase
         self._keys = [
             (
                 id(segments.commands),
@@ -198,7 +201,8 @@ class Controls:
         for key, (world, segments) in zip(self._keys, self._pieces, strict=True):
             if key in self._filled:
                 continue
-            values, phase = np.empty((count, len(segments), self._nu)), command_phase(world.model)
+            values = np.empty((count, len(segments), self._nu))
+            phase = command_phase(world.model) if self._phase is None else self._phase
             for recording in np.unique(segments.recording):
                 own = np.flatnonzero(np.asarray(segments.recording) == recording)
                 name = (id(segments.commands), int(recording), *key[3:])

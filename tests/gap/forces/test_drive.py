@@ -24,7 +24,7 @@ def soft(model: mujoco.MjModel) -> None:
 
 def test_stiffness_and_friction_of_servos_are_found_together():
     side = arm_side(arm_stretches([moved_arm(f"r{i}", i, change=soft, seconds=1.5) for i in range(2)]), EFFECTS)
-    side, fit = start(side, believed())
+    fit = start(side, believed())
     plain, servos, soft_alone = drive_points(side, fit)
     assert [c.effect.name for c, _ in plain.named] == list(NAMES[:4])
     found = {c.effect.name: values for c, values in servos.named}
@@ -38,7 +38,7 @@ def test_stiffness_and_friction_of_servos_are_found_together():
 def test_servos_without_an_effect_of_stiffness_have_the_believed_one():
     effects = tuple(e for e in LIBRARY if e.name in NAMES[:3])
     side = arm_side(arm_stretches([moved_arm(f"r{i}", i, change=soft) for i in range(2)]), effects)
-    side, fit = start(side, believed())
+    fit = start(side, believed())
     points = drive_points(side, fit)
     assert len(points) == 1
     assert {c.effect.name for c, _ in points[0].named} == {e.name for e in effects}

@@ -10,6 +10,7 @@ from btr_mjx.gap.forces.evidence import CalibrationPrior
 from btr_mjx.gap.forces.kalman_filter import Filtered
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, covariance
 from btr_mjx.gap.forces.unknowns import Library
+from btr_mjx.gap.simulate import Counter
 
 STRETCHES, ROWS = 400, 30
 TOLERANCE = np.array([0.02])
@@ -18,7 +19,7 @@ TOLERANCE = np.array([0.02])
 def fitted(columns: np.ndarray, residual: np.ndarray) -> tuple[ForceSide, Fitted]:
     """A fit of two numbers beside one of calibration, with whitened columns (S, N, 3) and residual (S, N)."""
     prior = CalibrationPrior(np.zeros((0, 1)), TOLERANCE, 9 * TOLERANCE, np.zeros(1))
-    side = ForceSide(None, Library((), (), (), prior), None, None)  # type: ignore[arg-type]
+    side = ForceSide(None, Library((), (), (), prior), Counter())  # type: ignore[arg-type]
     named = tuple(
         (one(arm(), name, LIBRARY), (0.1,)) for name in ("viscous_damping@joint:elbow", "armature@joint:elbow")
     )

@@ -18,7 +18,7 @@ FRICTION = [e for e in LIBRARY if e.name in ("viscous_damping", "dry_friction")]
 def scene(force: Force | None, seed: int = 0) -> tuple[ForceSide, Fitted, list[Candidate]]:
     recordings = [moved_arm(f"r{i}", 10 * seed + i, force=force, seconds=0.8) for i in range(2)]
     side = arm_side(arm_stretches(recordings), FRICTION)
-    return *start(side, believed()), candidates(arm(), scales_of(side.stretches.data), LAW_EFFECTS)
+    return side, start(side, believed()), candidates(arm(), scales_of(side.stretches.data), LAW_EFFECTS)
 
 
 def at(joint: int, of) -> Force:

@@ -38,7 +38,7 @@ def sides():
 
 @pytest.fixture(scope="module")
 def null(sides):
-    return start(sides[0], believed())[1]
+    return start(sides[0], believed())
 
 
 def damping(side, value: float) -> Point:
@@ -133,8 +133,7 @@ def test_a_number_is_worth_the_same_by_another_name(sides, named):
     refitted = (PathParameter("elbow damping", ("joint:elbow/damping",), 0.0, 1.0),)
     base = Hypothesis(refitted, (0.05,))
     library = library_of(candidates(model, scales_of(side.stretches.data), EFFECTS), model, refitted, {}, 0.005)
-    columns = responses(side.stretches, base, library.numbers)
-    _, other = start(ForceSide(side.stretches, library, columns, Counter()), base)
+    other = start(ForceSide(side.stretches, library, Counter()), base)
     assert other.loss == pytest.approx(named.loss, abs=10)
     assert 0.05 + other.point.calibration[-1] == pytest.approx(0.15, rel=0.05)
 
@@ -152,8 +151,7 @@ def test_numbers_of_the_model_stay_within_their_bounds(sides):
     refitted = (Bounded("elbow damping", ("joint:elbow/damping",), 0.0, 0.08),)
     base = Hypothesis(refitted, (0.05,))
     library = library_of(candidates(model, scales_of(side.stretches.data), ()), model, refitted, {}, 0.005)
-    columns = responses(side.stretches, base, library.numbers)
-    _, found = start(ForceSide(side.stretches, library, columns, Counter()), base)
+    found = start(ForceSide(side.stretches, library, Counter()), base)
     assert 0.05 + found.point.calibration[-1] > 0.08
 
 

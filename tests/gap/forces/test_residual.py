@@ -24,7 +24,7 @@ def tables(force) -> tuple[ResidualTable, ...]:
         arm_side(arm_stretches([moved_arm(f"r{i}", 10 * k + i, force=force, seconds=1.2) for i in range(3)]), [])
         for k in range(2)
     ]
-    side, fit = start(sides[0], believed())
+    side, fit = sides[0], start(sides[0], believed())
     return fit_residual(side, sides[1], fit.point, fit.variances)
 
 

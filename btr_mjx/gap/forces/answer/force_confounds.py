@@ -4,6 +4,7 @@ import numpy as np
 
 from btr_mjx.gap.forces.kalman_filter import filtered
 from btr_mjx.gap.forces.points import Fitted, ForceSide, names
+from btr_mjx.gap.forces.search import library_columns
 from btr_mjx.gap.forces.unknowns import BELIEVED
 from btr_mjx.gap.results import Confound, confound_sentence
 
@@ -22,11 +23,9 @@ def confounds_of(side: ForceSide, fit: Fitted) -> tuple[Confound, ...]:
       fit: with named effects.
     """
     p = fit.point.numbers
-    own = fit.columns[..., :p]
-    stretches = fit.stretches
-    if stretches.time.shape != side.stretches.time.shape or not p:
+    if fit.stretches.time.shape != side.stretches.time.shape or not p:
         return ()
-    gram = filtered(fit.linear, np.concatenate([side.columns, own], -1), fit.variances).gram.sum(0)[1:, 1:]
+    gram = filtered(fit.linear, library_columns(side, fit), fit.variances).gram.sum(0)[1:, 1:]
     c, prior = len(side.library.numbers), side.library.calibration
     believed = [e.candidate.effect.name.startswith(BELIEVED) for e in side.library.calibrated]
     others = ~np.array(believed, bool)

@@ -100,9 +100,8 @@ def carried_of(found: SearchOutcome) -> Carried:
 
 def _with_held_out(test: ForceSide, fit: Fitted) -> Fitted:
     """A fit whose whitened columns are those of fitted and of held-out stretches."""
-    nothing = np.zeros((len(test.stretches), test.stretches.intervals, len(fit.variances.sensor), 0))
     variances = replace(fit.variances, weight=None)
-    own = evaluate_point(replace(test, columns=nothing), fit.point, variances)
+    own = evaluate_point(test, fit.point, variances)
     for _ in range(_UPDATES):
         variances = _updated(own, variances)
     own = again(test, own, variances)
