@@ -12,7 +12,6 @@ import numpy as np
 
 from btr_mjx.gap.data import Recording
 from btr_mjx.gap.effects import Hypothesis
-from btr_mjx.gap.forces.kalman_filter import NU
 from btr_mjx.gap.forces.motion import time_step
 from btr_mjx.gap.forces.points import ForceSide, Point
 from btr_mjx.gap.forces.unknowns import Library
@@ -87,7 +86,7 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
         rms = np.sqrt(np.median(np.concatenate([(e[..., seen] ** 2).mean(1) for e in errors]), 0))
         if not np.all(rms < FOLLOWS * size):
             break
-        scale = seen, rms
+        scale = seen, rms, FOLLOWS * size
         best, covariance = _nearest(side, trial, best, numbers.at(best), covariance, scale, (errors, step_errors))
         horizon *= _LONGER
     return best
@@ -225,7 +224,7 @@ def _nearest(
     point: Point,
     numbers: _Numbers,
     covariance: np.ndarray,
-    scale: tuple[np.ndarray, np.ndarray],
+    scale: tuple[np.ndarray, np.ndarray, np.ndarray],
     errors: tuple[list[np.ndarray], list[np.ndarray]],
 ) -> tuple[Point, np.ndarray]:
     """The point nearest to the data over one horizon, and the covariance of its numbers.
@@ -236,16 +235,16 @@ def _nearest(
       point: what forces and shorter horizons say.
       numbers: of the point, which are moved.
       covariance: (m, m) of them.
-      scale: coordinates that were measured, and the size of their errors.
+      scale: coordinates that were measured, the size of their errors, and the largest error of what is followed.
       errors: of the point, see `_errors_at`; those of the time steps stay, since numbers move by little.
     """
     low, high, step, start = numbers.low, numbers.high, numbers.step, numbers.value
     root = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    seen, rms = scale
+    seen, rms, most = scale
 
-    # Errors have heavy tails as forces have: somebody touches the robot, a pendulum passes its top on the other side.
-    square = [((e[..., seen] / rms) ** 2).mean(1, keepdims=True) for e in errors[0]]
-    weights = [np.sqrt((NU + 1) / (NU + own)) for own in square]
+    # A simulation that is lost, as a pendulum that passes its top on the other side, counts as one at the bound.
+    lost = [((e[..., seen] / most) ** 2).mean((1, 2), keepdims=True) for e in errors[0]]
+    weights = [1 / np.sqrt(np.maximum(own, 1.0)) for own in lost]
 
     def residual(values: np.ndarray, found: Sequence[np.ndarray]) -> np.ndarray:
         """(N,): each simulation counts as one measured value per joint, since its errors go together."""

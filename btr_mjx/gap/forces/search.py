@@ -116,9 +116,7 @@ class _Scene:
 
 def _scene(side: ForceSide, fit: Fitted) -> _Scene:
     library, p = side.library, fit.point.numbers
-    whitened = filtered(
-        fit.linear, np.concatenate([library_columns(side, fit), fit.columns[..., :p]], -1), fit.variances
-    )
+    whitened = filtered(fit.linear, library_columns(side, fit), fit.variances)
     c = len(library.numbers)
     given = np.zeros((c + p, p))
     given[c + np.arange(p), np.arange(p)] = 1.0
