@@ -34,17 +34,17 @@ def test_numbers_move_to_where_recordings_are_followed(side: ForceSide, value: f
     assert found == pytest.approx(TRUE, rel=0.03)
 
 
-def test_a_push_that_lasts_a_moment_does_not_decide() -> None:
-    """Somebody pushes the elbow in one recording of three: the damping is that of the others."""
+def test_a_simulation_that_is_lost_does_not_decide() -> None:
+    """Somebody holds the elbow back in one recording of three: the damping is that of the others."""
 
     def push(q: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
-        return np.array([0.0, 0.8 if 0.3 < t < 0.5 else 0.0])
+        return np.array([0.0, 5.0 if 0.3 < t < 0.5 else 0.0])
 
     effects = tuple(e for e in LIBRARY if e.name == "viscous_damping")
     recordings = [moved_arm(f"r{i}", i, change=damped, force=push if i == 2 else None) for i in (0, 1, 2)]
     pushed = arm_side(arm_stretches(recordings), effects)
     (_, (found,)), *_ = follow_horizons(pushed, point(pushed, 0.07), np.array([[0.05**2]]), pushed.library).named
-    assert found == pytest.approx(TRUE, rel=0.05)
+    assert found == pytest.approx(TRUE, rel=0.2)
 
 
 def test_calibration_moves_with_them() -> None:
