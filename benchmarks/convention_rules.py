@@ -42,12 +42,12 @@ RULES: Mapping[str, Sequence[tuple[str, str, object]]] = {
     "t test beside the sign test": [("preflight.comparison", "_MIN_VALUES", 10**9)],
     "velocities: error halved": [("preflight.velocities", "_RATIO", 1.0)],
     "velocities: only where there is motion": [("preflight.velocities", "_MOVING", 1.0)],
-    "drift: six standard errors instead of three": [("preflight.drift", "_SIGNIFICANT", 3.0)],
-    "drift: at least 0.3 ms/s": [("preflight.drift", "_MIN_DRIFT", ALWAYS)],
-    "held: changes stand alone": [("data.held", "_MAX_ADJACENT", 1.0)],
-    "held: columns change together": [("data.held", "_TOGETHER", ALWAYS)],
-    "held: at least twelve changes": [("data.held", "_MIN_CHANGES", 1)],
-    "held: more than single counts": [("data.held", "_MIN_COUNTS", ALWAYS)],
+    "drift: six standard errors instead of three": [("preflight.timing.drift", "_SIGNIFICANT", 3.0)],
+    "drift: at least 0.3 ms/s": [("preflight.timing.drift", "_MIN_DRIFT", ALWAYS)],
+    "held: changes stand alone": [("data.recordings.held", "_MAX_ADJACENT", 1.0)],
+    "held: columns change together": [("data.recordings.held", "_TOGETHER", ALWAYS)],
+    "held: at least twelve changes": [("data.recordings.held", "_MIN_CHANGES", 1)],
+    "held: more than single counts": [("data.recordings.held", "_MIN_COUNTS", ALWAYS)],
 }
 """Rules, each with the constants that are changed: module of `btr_mjx.gap`, name, value."""
 

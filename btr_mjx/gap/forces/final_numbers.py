@@ -6,9 +6,8 @@ import numpy as np
 
 from btr_mjx.gap.effects import OF_LOG
 from btr_mjx.gap.forces.horizons import follow_horizons
-from btr_mjx.gap.forces.points import QUANTILE, Fitted, ForceSide, Point, covariance, numbers_of, with_numbers
+from btr_mjx.gap.forces.points import QUANTILE, Fitted, ForceSide, Named, Point, covariance, numbers_of, with_numbers
 from btr_mjx.gap.forces.predictions import compared_predictions
-from btr_mjx.gap.forces.search import Named
 from btr_mjx.gap.forces.settling import settled
 from btr_mjx.gap.forces.unknowns import Library, calibrated_number
 

@@ -33,10 +33,10 @@ from btr_mjx.gap.forces.final_numbers import last_numbers, without_invisible
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_confirmed
 from btr_mjx.gap.forces.law_scan import scan_laws
 from btr_mjx.gap.forces.missing_force import missing_force
-from btr_mjx.gap.forces.points import Fitted, ForceSide, Point
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Named, Point
 from btr_mjx.gap.forces.predictions import horizon_errors, predicts_well, predicts_worse
 from btr_mjx.gap.forces.residual import fit_residual
-from btr_mjx.gap.forces.search import Named, SearchRound, select_effects, start
+from btr_mjx.gap.forces.search import SearchRound, select_effects, start
 from btr_mjx.gap.forces.sets.carried import Carried, carried_library, with_room
 from btr_mjx.gap.forces.stretches import spread_stretches
 from btr_mjx.gap.forces.unknowns import (

@@ -14,6 +14,9 @@ from btr_mjx.gap.forces.unknowns import Library, calibrated_effects, calibrated_
 from btr_mjx.gap.simulate import Counter
 from btr_mjx.models import integrate
 
+Named = tuple[tuple[Candidate, tuple[float, ...]], ...]
+"""Effects with their values."""
+
 QUANTILE = 1.645
 """Half width of a 90 % interval, in standard errors."""
 
@@ -44,7 +47,7 @@ class Point:
     """
 
     base: Hypothesis
-    named: tuple[tuple[Candidate, tuple[float, ...]], ...]
+    named: Named
     calibration: np.ndarray
 
     def hypothesis(self, library: Library, without: int | None = None) -> Hypothesis:

@@ -7,9 +7,9 @@ import numpy as np
 from btr_mjx.gap.effects import Hypothesis
 from btr_mjx.gap.forces.held_out import HeldOut
 from btr_mjx.gap.forces.missing_force import MissingForce
-from btr_mjx.gap.forces.points import Fitted, ForceSide
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Named
 from btr_mjx.gap.forces.scan import Scanned
-from btr_mjx.gap.forces.search import Named, SearchRound
+from btr_mjx.gap.forces.search import SearchRound
 
 
 @dataclass(frozen=True, eq=False)

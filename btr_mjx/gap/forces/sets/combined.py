@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from btr_mjx.gap.effects import TIMING, Candidate
-from btr_mjx.gap.forces.search import Named
+from btr_mjx.gap.forces.points import Named
 from btr_mjx.gap.forces.unknowns import Library
 
 
