@@ -86,7 +86,7 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
         rms = np.sqrt(np.median(np.concatenate([(e[..., seen] ** 2).mean(1) for e in errors]), 0))
         if not np.all(rms < FOLLOWS * size):
             break
-        scale = seen, rms, size
+        scale = seen, rms, FOLLOWS * size
         best, covariance = _nearest(side, trial, best, numbers.at(best), covariance, scale, (errors, step_errors))
         horizon *= _LONGER
     return best
