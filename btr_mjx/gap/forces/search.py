@@ -20,8 +20,8 @@ from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
 from btr_mjx.gap.forces.settling import settled
 from btr_mjx.gap.forces.unknowns import LIMIT_SIZES, with_refitted
 
-_FAR = 0.02
-"""Part of the gain of a whole drive that a single effect needs in the scan to be refined beside it."""
+_NEAR = 0.5
+"""Part of the best score of a scan that a lead needs to be refined."""
 
 _JITTER = 0.02
 """Jitter of time stamps to start with, in intervals."""
@@ -144,12 +144,11 @@ def one_more(
         _judged(side, fit, settled(side, point, first_variances(side, point.hypothesis(library))), choices)
         for point in (drive_points(side, fit) if drives else [])
     ]
-    least = max(needed, _FAR * whole[0][0] if whole else 0.0)
-    finalists = [*whole, *_refined(side, fit, shortlist(leads, least), choices)]
+    finalists = [*whole, *_refined(side, fit, shortlist(leads), choices)]
     if laws:
         found = scan_laws(side, fit, laws)
         known = max((row[0] for row in finalists), default=0.0)
-        chosen = shortlist(found.leads, max(needed, *(lead.score for lead in leads[:1])))
+        chosen = shortlist(found.leads, max(0.0, *(lead.score for lead in leads[:1])))
         for score, law in _refined(side, fit, chosen, found.choices):
             # Where simulations err, a law takes the difference to the effect of the library that is there.
             finalists.append((score - RELATIVE_ERROR**2 * max(known, 0.0), law))
@@ -204,16 +203,17 @@ def _tightened(side: ForceSide, fit: Fitted, lead: Scanned) -> tuple[float, ...]
 
 
 def shortlist(leads: Sequence[Scanned], least: float = 0.0) -> list[Scanned]:
-    """Leads whose numbers are refined: the best ones above a score, at most `_PLACES` of an effect.
+    """Leads whose numbers are refined: those above a score and near the best one, at most `_PLACES` of an effect.
 
     The best limit is always among them: what it does is not linear, so that the scan says little of it.
     """
     out: list[Scanned] = []
+    limits = [lead for lead in leads if lead.candidate.effect.saturates and lead.score > least]
+    least = max(least, _NEAR * max((lead.score for lead in leads), default=0.0))
     for lead in leads:
         same = sum(other.candidate.effect is lead.candidate.effect for other in out)
         if lead.score > least and same < _PLACES and len(out) < _FINALISTS:
             out.append(lead)
-    limits = [lead for lead in leads if lead.candidate.effect.saturates and lead.score > least]
     return out + [lead for lead in limits[:1] if lead not in out]
 
 
