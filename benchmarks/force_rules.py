@@ -48,7 +48,7 @@ RULES: Mapping[str, Sequence[tuple[str, str, object]]] = {
     "numbers smaller than 0.3 steps are not named": [("forces.final_numbers", "_SEEN", 0.0)],
     "nine beside calibration": [("forces.elimination", "_DOUBT", 0.0)],
     "a whole drive as one answer": [("forces.search", "drive_points", lambda *_: [])],
-    "only leads near the best one are refined": [("forces.search", "_NEAR", 0.0)],
+    "single effects beside a drive: 0.02 of its gain": [("forces.search", "_FAR", 0.0)],
     "commands act within 0.75 of a sample": [("forces.unknowns", "_WITHIN", 0.5)],
     "calibration: five times the laboratory's": [("effects.library", "_FIELD", 2.5)],
     "no joint is without friction": [("forces.unknowns", "_UNKNOWN", 0.0)],

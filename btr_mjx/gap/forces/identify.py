@@ -68,9 +68,9 @@ _AGAIN = 2.0
 _BEYOND = 1.5
 """Square of what held-out recordings leave, in units of the noise, where something is left."""
 
-_START_STEPS = 20
-"""Steps over an interval for a number of calibration, for an estimate of the work: ten derivatives; a number of the
-library takes one (`python -m btr_mjx.diagnose --demo --robot arm`)."""
+_START_STEPS = 2
+"""Steps of a derivative over an interval, for an estimate of the work: a derivative for each number, and ten for those
+of calibration, which are fitted (`python -m btr_mjx.diagnose --demo --robot arm`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +195,7 @@ def search_forces(
         library = library_of(possible, model, dataset.parameters, dataset.tolerances, interval, of_log)
         library = carried_library(library, known)
     side, test = (ForceSide(own, library, counter) for own in (stretches, other))
-    counter.expect((len(library.numbers) + _START_STEPS * len(library.calibrated)) * stretches.time.size)
+    counter.expect(_START_STEPS * (len(library.numbers) + 10 * len(library.calibrated)) * stretches.time.size)
     first = start(side, base)
     # Drives that were there before do not vanish all at once.
     confirm = partial(is_confirmed, test)

@@ -111,18 +111,21 @@ def linearise_motion(
     return Linearised(stretches, defect, transition, np.concatenate([force, slope @ force], -2), slope, interval)
 
 
-def compared_hypotheses(
-    base: Hypothesis, numbers: Sequence[FreeNumber]
-) -> tuple[list[MakeWorld], list[tuple[int, int]]]:
-    """Hypotheses whose differences show what numbers of effects do beside a base.
+def responses(
+    stretches: Stretches, base: Hypothesis, numbers: Sequence[FreeNumber], counter: Counter | None = None
+) -> np.ndarray:
+    """Derivatives of the ends of intervals with respect to numbers of effects beside a hypothesis.
 
     Args:
+      stretches: where.
       base: the hypothesis without the effects of `numbers`.
       numbers: the numbers.
+      counter: adds up the simulated steps.
 
     Returns:
-      The hypotheses, and for each number the indices of those without and with its step.
+      (S, K, nx, C).
     """
+    model = stretches.data.recordings[0].model
     makes: list[MakeWorld] = []
     where: dict[tuple, int] = {}
 
@@ -139,25 +142,6 @@ def compared_hypotheses(
         moved = list(number.at)
         moved[number.index] += number.step
         pairs.append((place(number.candidate, number.at), place(number.candidate, tuple(moved))))
-    return makes, pairs
-
-
-def responses(
-    stretches: Stretches, base: Hypothesis, numbers: Sequence[FreeNumber], counter: Counter | None = None
-) -> np.ndarray:
-    """Derivatives of the ends of intervals with respect to numbers of effects beside a hypothesis.
-
-    Args:
-      stretches: where.
-      base: the hypothesis without the effects of `numbers`.
-      numbers: the numbers.
-      counter: adds up the simulated steps.
-
-    Returns:
-      (S, K, nx, C).
-    """
-    model = stretches.data.recordings[0].model
-    makes, pairs = compared_hypotheses(base, numbers)
     found = ends(stretches, makes, counter=counter, factor=_COARSE)
     forces = reported_forces(stretches, makes, counter)
     slope = force_slopes(stretches, base, _shifts(stretches), counter)

@@ -1,6 +1,6 @@
 """A hypothesis with its numbers and calibration, fitted by Gauss-Newton steps in true simulation."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -204,18 +204,12 @@ def _whitened(
 def _own_columns(side: ForceSide, point: Point, stretches: Stretches) -> np.ndarray:
     """(S, K, 2 nv, p) derivatives with respect to the numbers of named effects, each at its value."""
     out = [_no_columns(stretches)]
-    for beside, numbers in named_numbers(side.library, point):
-        out.append(responses(stretches, beside, numbers, side.counter))
-    return np.concatenate(out, -1)
-
-
-def named_numbers(library: Library, point: Point) -> Iterator[tuple[Hypothesis, list[FreeNumber]]]:
-    """For each named effect the hypothesis without it, and its numbers at their values."""
     for i, (candidate, values) in enumerate(point.named):
         numbers = [
             FreeNumber(candidate, j, values, _step(own, values[j])) for j, own in enumerate(candidate.parameters)
         ]
-        yield point.hypothesis(library, without=i), numbers
+        out.append(responses(stretches, point.hypothesis(side.library, without=i), numbers, side.counter))
+    return np.concatenate(out, -1)
 
 
 def _no_columns(stretches: Stretches) -> np.ndarray:

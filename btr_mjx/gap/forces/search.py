@@ -10,18 +10,17 @@ from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.drive import drive_points
 from btr_mjx.gap.forces.elimination import pruned
 from btr_mjx.gap.forces.evidence import CalibrationPrior
-from btr_mjx.gap.forces.force_columns import force_columns
 from btr_mjx.gap.forces.kalman_filter import SPAN, Variances, filtered
 from btr_mjx.gap.forces.law_scan import scan_laws
-from btr_mjx.gap.forces.motion import linearise_motion
-from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, named_numbers, names
+from btr_mjx.gap.forces.motion import linearise_motion, responses
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, names
 from btr_mjx.gap.forces.predictions import RELATIVE_ERROR, compared_predictions
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
 from btr_mjx.gap.forces.settling import settled
 from btr_mjx.gap.forces.unknowns import LIMIT_SIZES, with_refitted
 
-_NEAR = 0.5
-"""Part of the best score of a scan that a lead needs to be refined."""
+_FAR = 0.02
+"""Part of the gain of a whole drive that a single effect needs in the scan to be refined beside it."""
 
 _JITTER = 0.02
 """Jitter of time stamps to start with, in intervals."""
@@ -39,11 +38,13 @@ class SearchRound:
 
     Attributes:
       before: the hypothesis to which one more effect was sought.
+      columns: of the library, taken beside it.
       leads: of the scan, best first, then those of laws.
       finalists: refined leads with their scores, best first; only those that no other one beats in predictions.
     """
 
     before: Fitted
+    columns: np.ndarray
     leads: tuple[Scanned, ...]
     finalists: tuple[tuple[float, Fitted], ...]
 
@@ -85,15 +86,14 @@ def start(side: ForceSide, base: Hypothesis) -> Fitted:
 
 
 def library_columns(side: ForceSide, fit: Fitted) -> np.ndarray:
-    """(S, K, nx, C + p) columns of the library and of named numbers, beside a fit and its calibration, as forces.
+    """(S, K, nx, C) columns of the library, taken beside a fit and its calibration.
 
     What an effect does depends on the motion beside it: where a delay is not yet named, servos pull with other forces.
     """
     library = side.library
     at = {e.columns[0][0]: v for e, v in zip(library.calibrated, fit.point.calibration, strict=True)}
     numbers = [with_refitted(number, at.get(i, 0.0)) for i, number in enumerate(library.numbers)]
-    rows = [(fit.point.hypothesis(library), numbers), *named_numbers(library, fit.point)]
-    return np.concatenate([force_columns(fit.linear, base, own, side.counter) for base, own in rows], -1)
+    return responses(fit.stretches, fit.point.hypothesis(library), numbers, side.counter)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +106,9 @@ class _Scene:
     count: int
 
 
-def _scene(side: ForceSide, fit: Fitted) -> _Scene:
+def _scene(side: ForceSide, fit: Fitted, columns: np.ndarray) -> _Scene:
     library, p = side.library, fit.point.numbers
-    whitened = filtered(fit.linear, library_columns(side, fit), fit.variances)
+    whitened = filtered(fit.linear, np.concatenate([columns, fit.columns[..., :p]], -1), fit.variances)
     c = len(library.numbers)
     given = np.zeros((c + p, p))
     given[c + np.arange(p), np.arange(p)] = 1.0
@@ -136,7 +136,8 @@ def one_more(
       laws: terms of a dictionary at joints.
       drives: whether all drives may lack what they have.
     """
-    library, scene = side.library, _scene(side, fit)
+    library, columns = side.library, library_columns(side, fit)
+    scene = _scene(side, fit, columns)
     entries = [entry for entry in library.entries if entry.candidate.name not in names(fit.point.named)]
     _, leads = scan_columns(scene.gram, entries, scene.given, scene.calibration, scene.count)
     choices = len({entry.candidate.name for entry in library.entries})
@@ -144,17 +145,18 @@ def one_more(
         _judged(side, fit, settled(side, point, first_variances(side, point.hypothesis(library))), choices)
         for point in (drive_points(side, fit) if drives else [])
     ]
-    finalists = [*whole, *_refined(side, fit, shortlist(leads), choices)]
+    least = max(needed, _FAR * whole[0][0] if whole else 0.0)
+    finalists = [*whole, *_refined(side, fit, shortlist(leads, least), choices)]
     if laws:
         found = scan_laws(side, fit, laws)
         known = max((row[0] for row in finalists), default=0.0)
-        chosen = shortlist(found.leads, max(0.0, *(lead.score for lead in leads[:1])))
+        chosen = shortlist(found.leads, max(needed, *(lead.score for lead in leads[:1])))
         for score, law in _refined(side, fit, chosen, found.choices):
             # Where simulations err, a law takes the difference to the effect of the library that is there.
             finalists.append((score - RELATIVE_ERROR**2 * max(known, 0.0), law))
         leads = [*leads, *(lead for lead in found.leads if lead.score > 0)]
     finalists.sort(key=lambda row: -row[0])
-    return SearchRound(fit, tuple(leads), tuple(_unbeaten(side, finalists, needed)))
+    return SearchRound(fit, columns, tuple(leads), tuple(_unbeaten(side, finalists, needed)))
 
 
 def _refined(side: ForceSide, fit: Fitted, leads: Sequence[Scanned], choices: int) -> list[tuple[float, Fitted]]:
@@ -203,17 +205,16 @@ def _tightened(side: ForceSide, fit: Fitted, lead: Scanned) -> tuple[float, ...]
 
 
 def shortlist(leads: Sequence[Scanned], least: float = 0.0) -> list[Scanned]:
-    """Leads whose numbers are refined: those above a score and near the best one, at most `_PLACES` of an effect.
+    """Leads whose numbers are refined: the best ones above a score, at most `_PLACES` of an effect.
 
     The best limit is always among them: what it does is not linear, so that the scan says little of it.
     """
     out: list[Scanned] = []
-    limits = [lead for lead in leads if lead.candidate.effect.saturates and lead.score > least]
-    least = max(least, _NEAR * max((lead.score for lead in leads), default=0.0))
     for lead in leads:
         same = sum(other.candidate.effect is lead.candidate.effect for other in out)
         if lead.score > least and same < _PLACES and len(out) < _FINALISTS:
             out.append(lead)
+    limits = [lead for lead in leads if lead.candidate.effect.saturates and lead.score > least]
     return out + [lead for lead in limits[:1] if lead not in out]
 
 
