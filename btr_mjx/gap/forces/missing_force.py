@@ -7,14 +7,13 @@ weighs a thousand times its link has no linear picture there. This is the usual 
 dynamic identification model; Gautier 1997). It serves as a start: what is fitted and judged are measurements.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
 from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.gap.simulate import Counter, needed_forces
+from btr_mjx.gap.simulate import needed_forces
 from btr_mjx.gap.windows import MakeWorld
 from btr_mjx.models import between
 
@@ -46,37 +45,28 @@ class MissingForce:
     acceleration: np.ndarray
 
 
-def missing_forces(
-    stretches: Stretches, makes: Sequence[MakeWorld], counter: Counter | None = None
-) -> list[MissingForce]:
-    """Inverse dynamics of hypotheses in the middle of all intervals, from smoothed states.
+def missing_force(stretches: Stretches, make: MakeWorld) -> MissingForce:
+    """Inverse dynamics of a hypothesis in the middle of all intervals, from smoothed states.
 
     Args:
       stretches: with smoothed states.
-      makes: the hypotheses.
-      counter: adds up the evaluations.
+      make: the hypothesis.
     """
-    interval, counter = np.diff(stretches.time, axis=1), counter or Counter()
+    interval = np.diff(stretches.time, axis=1)
     length, shape = float(np.median(interval)), (*interval.shape, stretches.qvel.shape[-1])
-    force, actuator = (np.empty((len(makes), *shape)) for _ in range(2))
-    middle = 0.5 * (stretches.qvel[:, 1:] + stretches.qvel[:, :-1])
+    force, actuator = np.empty(shape), np.empty(shape)
+    velocity = 0.5 * (stretches.qvel[:, 1:] + stretches.qvel[:, :-1])
     acceleration = np.diff(stretches.qvel, axis=1) / interval[..., None]
-    slow = _SLOW * np.sqrt((middle**2).mean((0, 1))) + 1e-12
+    slow = _SLOW * np.sqrt((velocity**2).mean((0, 1))) + 1e-12
     start = stretches.qpos[:, :-1], stretches.qvel[:, :-1]
     for own, model, segments in stretches.segments(slice(-1), *start, np.zeros(interval.shape)):
         ends = [x[own][:, 1:].reshape(-1, x.shape[-1]) for x in (stretches.qpos, stretches.qvel)]
         half = np.full(len(segments), 0.5)
         qpos, qvel = between(model, (segments.qpos, segments.qvel), (ends[0], ends[1]), half, length)
         at, rate = replace(segments, qpos=qpos, qvel=qvel), acceleration[own].reshape(qvel.shape)
-        found = needed_forces([(make(model), at) for make in makes], [rate] * len(makes), length, slow, counter)
-        for i, row in enumerate(found):
-            force[i, own], actuator[i, own] = (x.reshape(len(own), *shape[1:]) for x in row)
-    return [MissingForce(f, a, middle, acceleration) for f, a in zip(force, actuator, strict=True)]
-
-
-def missing_force(stretches: Stretches, base: MakeWorld) -> MissingForce:
-    """The same of one hypothesis."""
-    return missing_forces(stretches, [base])[0]
+        ((missing, driven),) = needed_forces([(make(model), at)], [rate], length, slow)
+        force[own], actuator[own] = (x.reshape(len(own), *shape[1:]) for x in (missing, driven))
+    return MissingForce(force, actuator, velocity, acceleration)
 
 
 def drives(missing: MissingForce, spring: np.ndarray | None = None) -> np.ndarray:

@@ -38,13 +38,11 @@ class SearchRound:
 
     Attributes:
       before: the hypothesis to which one more effect was sought.
-      columns: of the library, taken beside it.
       leads: of the scan, best first, then those of laws.
       finalists: refined leads with their scores, best first; only those that no other one beats in predictions.
     """
 
     before: Fitted
-    columns: np.ndarray
     leads: tuple[Scanned, ...]
     finalists: tuple[tuple[float, Fitted], ...]
 
@@ -106,9 +104,10 @@ class _Scene:
     count: int
 
 
-def _scene(side: ForceSide, fit: Fitted, columns: np.ndarray) -> _Scene:
+def _scene(side: ForceSide, fit: Fitted) -> _Scene:
     library, p = side.library, fit.point.numbers
-    whitened = filtered(fit.linear, np.concatenate([columns, fit.columns[..., :p]], -1), fit.variances)
+    every = np.concatenate([library_columns(side, fit), fit.columns[..., :p]], -1)
+    whitened = filtered(fit.linear, every, fit.variances)
     c = len(library.numbers)
     given = np.zeros((c + p, p))
     given[c + np.arange(p), np.arange(p)] = 1.0
@@ -136,8 +135,7 @@ def one_more(
       laws: terms of a dictionary at joints.
       drives: whether all drives may lack what they have.
     """
-    library, columns = side.library, library_columns(side, fit)
-    scene = _scene(side, fit, columns)
+    library, scene = side.library, _scene(side, fit)
     entries = [entry for entry in library.entries if entry.candidate.name not in names(fit.point.named)]
     _, leads = scan_columns(scene.gram, entries, scene.given, scene.calibration, scene.count)
     choices = len({entry.candidate.name for entry in library.entries})
@@ -156,7 +154,7 @@ def one_more(
             finalists.append((score - RELATIVE_ERROR**2 * max(known, 0.0), law))
         leads = [*leads, *(lead for lead in found.leads if lead.score > 0)]
     finalists.sort(key=lambda row: -row[0])
-    return SearchRound(fit, columns, tuple(leads), tuple(_unbeaten(side, finalists, needed)))
+    return SearchRound(fit, tuple(leads), tuple(_unbeaten(side, finalists, needed)))
 
 
 def _refined(side: ForceSide, fit: Fitted, leads: Sequence[Scanned], choices: int) -> list[tuple[float, Fitted]]:

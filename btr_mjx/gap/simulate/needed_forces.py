@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.simulate.batch import Counter, batch_blocks, prepared_batch
+from btr_mjx.gap.simulate.batch import batch_blocks, prepared_batch
 from btr_mjx.gap.simulate.segments import Controls, Job
 
 _CONSTRAINTS = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
@@ -19,12 +19,12 @@ _FRICTION = "dof_frictionloss"
 
 
 def needed_forces(
-    jobs: Sequence[Job], accelerations: Sequence[np.ndarray], length: float, slow: np.ndarray, counter: Counter
+    jobs: Sequence[Job], accelerations: Sequence[np.ndarray], length: float, slow: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Forces that motions need beyond those of worlds, and those of actuators.
 
-    Dry friction is at its full size where a joint is fast. Contacts, limits and equality constraints are left out:
-    what an effect changes of a force does not depend on them as long as they do not change.
+    Dry friction is at its full size where a joint is fast. Forces of contacts, limits and equality constraints are not
+    subtracted: they belong to what is needed.
 
     Args:
       jobs: (world, segments) pairs, with the states at which forces are taken; sample times have no part in it.
@@ -32,7 +32,6 @@ def needed_forces(
       length: time from the starts of segments on over which commands are averaged, or in whose middle they are taken
         where they are not held [s].
       slow: (nv,) velocities below which dry friction is not at its full size.
-      counter: adds up the evaluations as steps.
 
     Returns:
       For each job (W, nv) missing forces and (W, nv) of the actuators [N or N m].
@@ -47,7 +46,6 @@ def needed_forces(
         own.forces.start()
         own.forces.apply()
         batch.forward()
-        counter.add(own.rows[-1].stop)
         given = smooth - friction * np.tanh(velocity / slow)
         for (i, a, b), rows in zip(block, own.rows, strict=True):
             out[i][0][a:b] = _product(own.base, inertia[rows], accelerations[i][a:b]) - given[rows]

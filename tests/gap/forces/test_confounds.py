@@ -9,7 +9,7 @@ from gap_forces import arm_side, arm_stretches, believed, moved_arm
 
 from btr_mjx.gap.forces.answer.force_confounds import confounds_of
 from btr_mjx.gap.forces.points import Point, evaluate_point
-from btr_mjx.gap.forces.search import first_variances, library_columns
+from btr_mjx.gap.forces.search import first_variances
 
 DAMPING, FRICTION = (next(e for e in LIBRARY if e.name == name) for name in ("viscous_damping", "dry_friction"))
 OIL = replace(DAMPING, name="oil")
@@ -28,7 +28,7 @@ def point(side, name: str, value: float) -> Point:
 
 def test_the_same_effect_by_another_name_is_a_confound_of_correlation_one(side):
     fit = evaluate_point(side, point(side, "viscous_damping@joint:elbow", 0.1), first_variances(side, believed()))
-    found = {one.other: one for one in confounds_of(side, fit, library_columns(side, fit))}
+    found = {one.other: one for one in confounds_of(side, fit)}
     assert found["oil@joint:elbow"].correlation == pytest.approx(1, abs=5e-3)
     assert found["oil@joint:elbow"].effect == "viscous_damping@joint:elbow"
     assert "Oil" in found["oil@joint:elbow"].text
@@ -40,4 +40,4 @@ def test_the_same_effect_by_another_name_is_a_confound_of_correlation_one(side):
 def test_what_is_not_named_has_no_confounds(side):
     nothing = Point(believed(), (), np.zeros(len(side.library.calibrated)))
     fit = evaluate_point(side, nothing, first_variances(side, believed()))
-    assert confounds_of(side, fit, library_columns(side, fit)) == ()
+    assert confounds_of(side, fit) == ()

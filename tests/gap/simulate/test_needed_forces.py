@@ -7,7 +7,7 @@ from gap_arm import LIBRARY, arm
 from gap_models import load, one
 
 from btr_mjx.gap.effects import EFFECTS
-from btr_mjx.gap.simulate import Command, Counter, Rows, Segments, StateLaw, World, needed_forces
+from btr_mjx.gap.simulate import Command, Rows, Segments, StateLaw, World, needed_forces
 
 COUNT, LENGTH = 7, 5e-3
 
@@ -65,7 +65,7 @@ def test_forces_are_those_of_inverse_dynamics(name: str, values: tuple[float, ..
     one(model, name, EFFECTS).apply(world, values)
     world.laws.append(StateLaw(pushed, (0.7,)))
     jobs = [(World.of(model), states), (world, states)]  # of different models, in one batch where they may be
-    found, actuators = needed_forces(jobs, [acceleration] * 2, LENGTH, np.ones(2), Counter())[1]
+    found, actuators = needed_forces(jobs, [acceleration] * 2, LENGTH, np.ones(2))[1]
     law = np.stack([np.zeros(COUNT), 0.7 * states.qvel[:, 0]], -1)
     np.testing.assert_allclose(found, inverse(world, states, acceleration, law), atol=1e-9)
     assert np.abs(actuators).max() > 0.1
@@ -74,9 +74,7 @@ def test_forces_are_those_of_inverse_dynamics(name: str, values: tuple[float, ..
 def test_free_bodies_have_forces_too() -> None:
     model = load("quadruped")
     states, acceleration = random_states(model)
-    ((found, _),) = needed_forces(
-        [(World.of(model), states)], [acceleration], LENGTH, np.full(model.nv, np.inf), Counter()
-    )
+    ((found, _),) = needed_forces([(World.of(model), states)], [acceleration], LENGTH, np.full(model.nv, np.inf))
     expected = inverse(World.of(model), states, acceleration, np.zeros_like(acceleration))
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 
@@ -87,6 +85,6 @@ def test_dry_friction_is_against_the_motion() -> None:
     world = World.of(model)
     one(model, "dry_friction@joint:elbow", LIBRARY).apply(world, (0.2,))
     jobs = [(w, states) for w in (World.of(model), world)]
-    (without, _), (found, _) = needed_forces(jobs, [acceleration] * 2, LENGTH, np.full(2, 1e-9), Counter())
+    (without, _), (found, _) = needed_forces(jobs, [acceleration] * 2, LENGTH, np.full(2, 1e-9))
     expected = np.stack([np.zeros(COUNT), 0.2 * np.sign(states.qvel[:, 1])], -1)
     np.testing.assert_allclose(found - without, expected, atol=1e-9)

@@ -4,6 +4,7 @@ import numpy as np
 
 from btr_mjx.gap.forces.kalman_filter import filtered
 from btr_mjx.gap.forces.points import Fitted, ForceSide, names
+from btr_mjx.gap.forces.search import library_columns
 from btr_mjx.gap.forces.unknowns import BELIEVED
 from btr_mjx.gap.results import Confound, confound_sentence
 
@@ -14,18 +15,17 @@ _LISTED = 3
 """Confounds that are listed for an effect."""
 
 
-def confounds_of(side: ForceSide, fit: Fitted, columns: np.ndarray) -> tuple[Confound, ...]:
+def confounds_of(side: ForceSide, fit: Fitted) -> tuple[Confound, ...]:
     """Candidates whose traces resemble those of named effects, after calibration has taken what it can.
 
     Args:
       side: the recordings to fit.
       fit: with named effects.
-      columns: (S, K, nx, C) of the library.
     """
     p = fit.point.numbers
     if fit.stretches.time.shape != side.stretches.time.shape or not p:
         return ()
-    every = np.concatenate([columns, fit.columns[..., :p]], -1)
+    every = np.concatenate([library_columns(side, fit), fit.columns[..., :p]], -1)
     gram = filtered(fit.linear, every, fit.variances).gram.sum(0)[1:, 1:]
     c, prior = len(side.library.numbers), side.library.calibration
     believed = [e.candidate.effect.name.startswith(BELIEVED) for e in side.library.calibrated]

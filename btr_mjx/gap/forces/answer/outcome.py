@@ -68,7 +68,7 @@ def diagnosis_of(dataset: Dataset, sigma: np.ndarray, found: SearchOutcome, seco
         equivalent=alternatives_of(round_of(found, last.point.named[0][0].name)) if verdict == "effect" else (),
         disagreement=disagreement,
         believed=_refits(dataset, found),
-        confounds=confounds_of(found.side, last, found.rounds[-1].columns) if verdict == "effect" else (),
+        confounds=confounds_of(found.side, last) if verdict == "effect" else (),
         overlays=forces_overlays(model, found),
         share=1 - float(last.variances.force.sum() / max(first.variances.force.sum(), 1e-300)),
         lack_of_fit=(found.held_out[0].lack, found.held_out[1].lack),
