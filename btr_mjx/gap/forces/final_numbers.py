@@ -35,20 +35,16 @@ def last_numbers(side: ForceSide, fit: Fitted, follow: bool) -> tuple[Fitted, Po
         return fit, _followed(side, fit)
     point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
     fits = [fit, settled(side, point, fit.variances, about=fit.stretches)]
-    makes = [_in_model(side, own).hypothesis(side.library) for own in fits]
+    points = [_followed(side, own) for own in fits]
+    makes = [own.hypothesis(side.library) for own in points]
     told = compared_predictions(side.stretches.data, makes, side.counter)[0, 1]
-    chosen = fits[int(told > 0 if told else fits[1].loss < fit.loss)]
-    return chosen, _followed(side, chosen)
-
-
-def _in_model(side: ForceSide, fit: Fitted) -> Point:
-    """The point of a fit as a model has it: without what belongs to the log, and each number once."""
-    return _without_log(side.library, _merged(side.library, fit.point))
+    chosen = int(told > 0 if told else fits[1].loss < fit.loss)
+    return fits[chosen], points[chosen]
 
 
 def _followed(side: ForceSide, fit: Fitted) -> Point:
     """The point of a fit as the mended model has it, with numbers that follow recordings."""
-    point, spread = _in_model(side, fit), covariance(side, fit)
+    point, spread = _without_log(side.library, _merged(side.library, fit.point)), covariance(side, fit)
     named = [(candidate.name, candidate.parameters, values) for candidate, values in point.named]
     start = (point.base, named, point.calibration, side.library.calibration.reach, spread, side.stretches.data)
 
