@@ -45,7 +45,7 @@ RULES: Mapping[str, Sequence[tuple[str, str, object]]] = {
     "predictions: differ by a tenth": [("forces.predictions", "RELATIVE_ERROR", 0.0)],
     "predictions decide before the likelihood": [("forces.predictions", "RELATIVE_ERROR", NEVER)],
     "a further name: a hundredth of the others' gain": [("forces.search", "RELATIVE_ERROR", 0.0)],
-    "numbers smaller than 0.3 steps are not named": [("forces.final_numbers", "_SEEN", 0.0)],
+    "numbers smaller than 0.3 steps are not named": [("forces.answer.final_numbers", "_SEEN", 0.0)],
     "nine beside calibration": [("forces.elimination", "_DOUBT", 0.0)],
     "a whole drive as one answer": [("forces.search", "drive_points", lambda *_: [])],
     "single effects beside a drive: 0.02 of its gain": [("forces.search", "_FAR", 0.0)],

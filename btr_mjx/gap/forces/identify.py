@@ -27,9 +27,9 @@ from btr_mjx.gap.effects import (
     has_closed_loops,
     of_forces,
 )
+from btr_mjx.gap.forces.answer.final_numbers import last_numbers, without_invisible
 from btr_mjx.gap.forces.answer.found import SearchOutcome
 from btr_mjx.gap.forces.answer.outcome import diagnosis_of, with_tables_told
-from btr_mjx.gap.forces.final_numbers import last_numbers, without_invisible
 from btr_mjx.gap.forces.held_out import HeldOut, held_out, is_confirmed
 from btr_mjx.gap.forces.law_scan import scan_laws
 from btr_mjx.gap.forces.missing_force import missing_force

@@ -7,7 +7,7 @@ from gap_arm import LIBRARY, arm, damped
 from gap_forces import arm_side, arm_stretches, believed, moved_arm
 from gap_models import one
 
-from btr_mjx.gap.forces.final_numbers import without_invisible
+from btr_mjx.gap.forces.answer.final_numbers import without_invisible
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, covariance
 from btr_mjx.gap.forces.search import first_variances
 from btr_mjx.gap.forces.settling import settled
