@@ -49,7 +49,7 @@ def between(
     states: tuple[np.ndarray, np.ndarray],
     following: tuple[np.ndarray, np.ndarray],
     fraction: np.ndarray,
-    step: float,
+    step: float | np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """States between two steps, by cubic Hermite interpolation in the tangent space of the earlier configuration.
 
@@ -58,7 +58,7 @@ def between(
       states: qpos (N, nq) and qvel (N, nv) at the earlier step.
       following: qpos and qvel one step later.
       fraction: (N,) elapsed fraction of the step, in [0, 1].
-      step: length of the step [s].
+      step: length of the step [s], or (N, 1) of each.
 
     Returns:
       qpos (N, nq) and qvel (N, nv); velocities are interpolated linearly.

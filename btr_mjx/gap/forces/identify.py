@@ -6,11 +6,13 @@ A name needs evidence beyond the price of its numbers, and predictions of held-o
 than two standard errors.
 """
 
+import copy
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import mujoco
 import numpy as np
 
 from btr_mjx.errors import InputError
@@ -111,7 +113,19 @@ def prepare_forces(dataset: Dataset) -> PreparedForces | None:
     span = best_span(dataset.model, [track_of(r) for r in dataset.recordings], sigma)
     fit, test = (prepare(side, sigma, span) for side in (dataset.fit, dataset.test))
     touching = np.concatenate([own for side in (fit, test) for own in contact_samples(side, Counter())])
-    return None if touching.mean() > _TOUCHES else PreparedForces(dataset, fit, test, sigma)
+    if touching.mean() > _TOUCHES:
+        return None
+    if not touching.any():
+        fit, test = _without_contacts(fit), _without_contacts(test)
+    return PreparedForces(dataset, fit, test, sigma)
+
+
+def _without_contacts(data: PreparedData) -> PreparedData:
+    """The same of a robot that touches nothing: contacts are not looked for, which takes a third of a step."""
+    models = {id(r.model): copy.copy(r.model) for r in data.recordings}
+    for model in models.values():
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return replace(data, recordings=tuple(replace(r, model=models[id(r.model)]) for r in data.recordings))
 
 
 def identify_forces(

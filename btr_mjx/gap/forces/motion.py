@@ -15,16 +15,14 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
+import scipy
 
 from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.reported import force_slopes, reported_forces
 from btr_mjx.gap.forces.stretches import Stretches
-from btr_mjx.gap.simulate import Counter, simulate
+from btr_mjx.gap.simulate import Counter, accelerations, simulate
 from btr_mjx.gap.windows import MakeWorld
-from btr_mjx.models import difference, integrate
-
-_COARSE = 2.5
-"""Time steps of differences, in units of those of the model."""
+from btr_mjx.models import between, difference, integrate
 
 _LONGEST = 2.5e-3
 """Longest such time step [s]."""
@@ -55,6 +53,7 @@ class Linearised:
       stretches: with the states around which they are linearised.
       defect: (S, K, nx) d_k.
       transition: (S, K, nx, nx) A_k.
+      reach: (S, K, 2 nv, nv) the response of the state to a constant acceleration.
       force: (S, K, nx, nv) G_k, the response to a constant generalised force.
       slope: (S, K, nx - 2 nv, 2 nv) C_k, of reported forces at the ends of the intervals.
       interval: (S, K) lengths [s].
@@ -63,6 +62,7 @@ class Linearised:
     stretches: Stretches
     defect: np.ndarray
     transition: np.ndarray
+    reach: np.ndarray
     force: np.ndarray
     slope: np.ndarray
     interval: np.ndarray
@@ -91,41 +91,112 @@ def linearise_motion(
     defect = np.concatenate([defect, (slope @ defect[..., None])[..., 0] + stretches.reported[:, 1:] - reported], -1)
     if known is not None:
         return replace(known, stretches=stretches, defect=defect)
-    transition = np.empty((*interval.shape, 2 * nv, 2 * nv))
-    usual = ends(stretches, [make], counter=counter, factor=_COARSE)[0]
-    # Either side in turn, so that what is not smooth is met on both.
-    sign = np.where(np.arange(interval.shape[1]) % 2, -1.0, 1.0)[None, :, None]
-    for i, size in enumerate(shifts):
-        moved = np.zeros((*interval.shape, 2 * nv))
-        moved[..., i] = (sign * size)[..., 0]
-        states = integrate(model, stretches.qpos[:, :-1], moved[..., :nv]), stretches.qvel[:, :-1] + moved[..., nv:]
-        out = ends(stretches, [make], states, counter, _COARSE)[0]
-        transition[..., i] = np.nan_to_num(_minus(model, out, usual)) / (sign * size)
-    inverse = _inverse_inertia(stretches, make)
-    kick = np.zeros((*interval.shape, 2 * nv, nv))
-    kick[..., nv:, :] = inverse * interval[..., None, None]
-    # The mean of a kick at the start and one at the end of the interval.
-    force = 0.5 * (kick + transition @ kick)
+    transition, reach = _flow(_slopes_of_motion(stretches, make, shifts, counter), interval)
+    force = reach @ _inverse_inertia(stretches, make)
     unused = np.zeros((*interval.shape, 2 * nv + slope.shape[-2], slope.shape[-2]))
     transition = np.concatenate([np.concatenate([transition, slope @ transition], -2), unused], -1)
-    return Linearised(stretches, defect, transition, np.concatenate([force, slope @ force], -2), slope, interval)
+    force = np.concatenate([force, slope @ force], -2)
+    return Linearised(stretches, defect, transition, reach, force, slope, interval)
+
+
+def _slopes_of_motion(stretches: Stretches, make: MakeWorld, shifts: np.ndarray, counter: Counter | None) -> np.ndarray:
+    """(S, K, 2 nv, 2 nv) Jacobian of the continuous motion, d (v, a) / d (q, v), in the middle of the intervals."""
+    qpos, qvel = _middles(stretches)
+    model, nv = stretches.data.recordings[0].model, qvel.shape[-1]
+    out = np.zeros((*qpos.shape[:2], 2 * nv, 2 * nv))
+    out[..., :nv, nv:] = np.eye(nv)
+    (usual,) = accelerations_at(stretches, [make], (qpos, qvel), counter)
+    # Either side in turn, so that what is not smooth is met on both.
+    sign = np.where(np.arange(qpos.shape[1]) % 2, -1.0, 1.0)[:, None]
+    for i, size in enumerate(shifts):
+        moved = np.zeros((*qpos.shape[:2], 2 * nv))
+        moved[..., i] = (sign * size)[..., 0]
+        states = integrate(model, qpos, moved[..., :nv]), qvel + moved[..., nv:]
+        (found,) = accelerations_at(stretches, [make], states, counter)
+        out[..., nv:, i] = (found - usual) / (sign * size)
+    return np.nan_to_num(out)
+
+
+def _flow(slopes: np.ndarray, interval: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What becomes of a change of the state, and of a constant acceleration, until the end of an interval.
+
+    Exact for motion whose Jacobian is constant, however stiff: with B = (0, I), exp(A T) and the integral of
+    exp(A t) B over T are blocks of one matrix exponential (Van Loan, 1978).
+
+    Args:
+      slopes: (S, K, 2 nv, 2 nv) Jacobian A of the continuous motion.
+      interval: (S, K) lengths T [s].
+
+    Returns:
+      (S, K, 2 nv, 2 nv) and (S, K, 2 nv, nv).
+    """
+    n = slopes.shape[-1]
+    both = np.zeros((*interval.shape, n + n // 2, n + n // 2))
+    both[..., :n, :n] = slopes
+    both[..., n // 2 : n, n:] = np.eye(n // 2)
+    found = scipy.linalg.expm(both * interval[..., None, None])
+    return found[..., :n, :n], found[..., :n, n:]
+
+
+def _middles(stretches: Stretches) -> tuple[np.ndarray, np.ndarray]:
+    """States in the middle of the intervals, between the references at both ends: (S, K, nq) and (S, K, nv)."""
+    model = stretches.data.recordings[0].model
+    both = [
+        x.reshape(-1, x.shape[-1])
+        for s in (slice(-1), slice(1, None))
+        for x in (stretches.qpos[:, s], stretches.qvel[:, s])
+    ]
+    interval = np.diff(stretches.time, axis=1).reshape(-1, 1)
+    half = np.full(len(interval), 0.5)
+    qpos, qvel = between(model, (both[0], both[1]), (both[2], both[3]), half, interval)
+    shape = len(stretches), stretches.intervals, -1
+    return qpos.reshape(shape), qvel.reshape(shape)
+
+
+def accelerations_at(
+    stretches: Stretches,
+    makes: Sequence[MakeWorld],
+    states: tuple[np.ndarray, np.ndarray],
+    counter: Counter | None = None,
+) -> list[np.ndarray]:
+    """Accelerations (S, K, nv) of hypotheses at states, with the mean commands of the intervals.
+
+    Args:
+      stretches: whose intervals.
+      makes: the hypotheses.
+      states: qpos (S, K, nq) and qvel (S, K, nv).
+      counter: adds up the evaluations.
+    """
+    interval = np.diff(stretches.time, axis=1)
+    out = [np.empty(states[1].shape) for _ in makes]
+    for own, model, segments in stretches.segments(slice(-1), *states, interval):
+        found = accelerations([(make(model), segments) for make in makes], float(np.median(interval[own])), counter)
+        for own_rates, target in zip(found, out, strict=True):
+            target[own] = own_rates.reshape(len(own), stretches.intervals, -1)
+    return out
 
 
 def responses(
-    stretches: Stretches, base: Hypothesis, numbers: Sequence[FreeNumber], counter: Counter | None = None
+    stretches: Stretches,
+    base: Hypothesis,
+    numbers: Sequence[FreeNumber],
+    reach: np.ndarray,
+    counter: Counter | None = None,
 ) -> np.ndarray:
     """Derivatives of the ends of intervals with respect to numbers of effects beside a hypothesis.
+
+    An effect changes the acceleration in the middle of an interval, which stands for the whole of it.
 
     Args:
       stretches: where.
       base: the hypothesis without the effects of `numbers`.
       numbers: the numbers.
-      counter: adds up the simulated steps.
+      reach: (S, K, 2 nv, nv) responses to constant accelerations, see `Linearised`.
+      counter: adds up the evaluations.
 
     Returns:
       (S, K, nx, C).
     """
-    model = stretches.data.recordings[0].model
     makes: list[MakeWorld] = []
     where: dict[tuple, int] = {}
 
@@ -142,12 +213,12 @@ def responses(
         moved = list(number.at)
         moved[number.index] += number.step
         pairs.append((place(number.candidate, number.at), place(number.candidate, tuple(moved))))
-    found = ends(stretches, makes, counter=counter, factor=_COARSE)
+    found = accelerations_at(stretches, makes, _middles(stretches), counter)
     forces = reported_forces(stretches, makes, counter)
     slope = force_slopes(stretches, base, _shifts(stretches), counter)
-    out = np.empty((len(stretches), stretches.intervals, 2 * model.nv + slope.shape[-2], len(numbers)))
+    out = np.empty((len(stretches), stretches.intervals, reach.shape[-2] + slope.shape[-2], len(numbers)))
     for c, ((a, b), number) in enumerate(zip(pairs, numbers, strict=True)):
-        moved = np.nan_to_num(_minus(model, found[b], found[a]))
+        moved = (reach @ np.nan_to_num(found[b] - found[a])[..., None])[..., 0]
         of_forces = (slope @ moved[..., None])[..., 0] + forces[b] - forces[a]
         out[..., c] = np.concatenate([moved, of_forces], -1) / number.step
     return out

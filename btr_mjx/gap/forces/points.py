@@ -17,6 +17,9 @@ from btr_mjx.models import integrate
 Named = tuple[tuple[Candidate, tuple[float, ...]], ...]
 """Effects with their values."""
 
+_SMALL = 0.2
+"""Step of a derivative, in units of one that is visible: rotors of light joints are larger than all that they turn."""
+
 QUANTILE = 1.645
 """Half width of a 90 % interval, in standard errors."""
 
@@ -95,14 +98,14 @@ class Fitted:
       loss: -2 ln p, determinants included; inf where the model is no model of a body.
       parts: its linearised motion, columns and what they are whitened, which are computed at the first call where the
         fit was read from a file.
-      places: where columns of calibration, other derivatives, and the motion were computed.
+      places: where derivatives, and the motion were computed.
     """
 
     point: Point
     variances: Variances
     loss: float
     parts: Callable[[], tuple[Linearised, np.ndarray, Filtered]]
-    places: tuple[Expansion, Expansion, Expansion]
+    places: tuple[Expansion, Expansion]
 
     @property
     def linear(self) -> Linearised:
@@ -135,7 +138,6 @@ def evaluate_point(
     variances: Variances,
     known: Fitted | None = None,
     stretches: Stretches | None = None,
-    fresh: bool = False,
 ) -> Fitted:
     """Linearise and filter a point.
 
@@ -143,38 +145,32 @@ def evaluate_point(
       side: of the split.
       point: the point.
       variances: of sensors and random force.
-      known: a fit of the same names whose transitions and columns are kept; None to compute them.
-      fresh: whether of these only columns of calibration are kept, which named effects change little.
+      known: a fit of the same names whose derivatives are kept; None to compute them.
       stretches: states around which the motion is linearised; None for those of `known`, or of the side.
     """
     if stretches is None:
         stretches = side.stretches if known is None else known.stretches
-    kept = None if known is None or fresh else known.linear
-    linear = linearise_motion(stretches, point.hypothesis(side.library), side.counter, kept)
-    here = (point, stretches)
-    if known is not None and not fresh:
-        return _whitened(linear, known.columns, variances, side, (*known.places[:2], here))
-    if known is None:
-        calibration, first = _calibration_columns(side, point, stretches), here
-    else:
-        calibration, first = known.columns[..., point.numbers :], known.places[0]
-    columns = np.concatenate([_own_columns(side, point, stretches), calibration], -1)
-    return _whitened(linear, columns, variances, side, (first, here, here))
+    hypothesis, here = point.hypothesis(side.library), (point, stretches)
+    if known is not None:
+        linear = linearise_motion(stretches, hypothesis, side.counter, known.linear)
+        return _whitened(linear, known.columns, variances, side, (known.places[0], here))
+    linear = linearise_motion(stretches, hypothesis, side.counter)
+    return _whitened(linear, _columns(side, point, linear), variances, side, (here, here))
 
 
-def evaluate_places(side: ForceSide, places: tuple[Expansion, Expansion, Expansion], variances: Variances) -> Fitted:
-    """Linearise and filter the last of three places, with derivatives that were computed at the others.
+def evaluate_places(side: ForceSide, places: tuple[Expansion, Expansion], variances: Variances) -> Fitted:
+    """Linearise and filter the second of two places, with derivatives that were computed at the first.
 
     Args:
       side: of the split.
       places: of a fit, see `Fitted`.
       variances: of sensors and random force.
     """
-    (calibrated, about), (taken, derived), (last, moved) = places
-    columns = [_own_columns(side, taken, derived), _calibration_columns(side, calibrated, about)]
+    (taken, derived), (last, moved) = places
     linear = linearise_motion(derived, taken.hypothesis(side.library), side.counter)
+    columns = _columns(side, taken, linear)
     linear = linearise_motion(moved, last.hypothesis(side.library), side.counter, linear)
-    return _whitened(linear, np.concatenate(columns, -1), variances, side, places)
+    return _whitened(linear, columns, variances, side, places)
 
 
 def again(side: ForceSide, fit: Fitted, variances: Variances) -> Fitted:
@@ -187,7 +183,7 @@ def _whitened(
     columns: np.ndarray,
     variances: Variances,
     side: ForceSide,
-    places: tuple[Expansion, Expansion, Expansion],
+    places: tuple[Expansion, Expansion],
 ) -> Fitted:
     point = places[-1][0]
     try:
@@ -201,38 +197,29 @@ def _whitened(
     return Fitted(point, variances, loss if np.isfinite(loss) else np.inf, lambda: (linear, columns, found), places)
 
 
-def _own_columns(side: ForceSide, point: Point, stretches: Stretches) -> np.ndarray:
-    """(S, K, 2 nv, p) derivatives with respect to the numbers of named effects, each at its value."""
-    out = [_no_columns(stretches)]
+def _columns(side: ForceSide, point: Point, linear: Linearised) -> np.ndarray:
+    """(S, K, nx, p + n) derivatives with respect to numbers of named effects and to calibration, each at its value."""
+    stretches, library, counter = linear.stretches, side.library, side.counter
+    out = [np.zeros((*linear.defect.shape, 0))]
     for i, (candidate, values) in enumerate(point.named):
         numbers = [
             FreeNumber(candidate, j, values, _step(own, values[j])) for j, own in enumerate(candidate.parameters)
         ]
-        out.append(responses(stretches, point.hypothesis(side.library, without=i), numbers, side.counter))
+        base = point.hypothesis(library, without=i)
+        out.append(responses(stretches, base, numbers, linear.reach, counter))
+    if library.calibrated:
+        numbers = []
+        for entry, value in zip(library.calibrated, point.calibration, strict=True):
+            step, index = library.numbers[entry.columns[0][0]].step, calibrated_number(library, entry)
+            there = FreeNumber(entry.candidate, index, tuple(entry.candidate.null), _SMALL * step)
+            numbers.append(with_refitted(there, value))
+        out.append(responses(stretches, point.hypothesis(library), numbers, linear.reach, counter))
     return np.concatenate(out, -1)
-
-
-def _no_columns(stretches: Stretches) -> np.ndarray:
-    """(S, K, nx, 0)."""
-    return np.zeros((len(stretches), stretches.intervals, len(stretches.sigma), 0))
-
-
-def _calibration_columns(side: ForceSide, point: Point, stretches: Stretches) -> np.ndarray:
-    """(S, K, 2 nv, n) derivatives with respect to calibration, at its values and beside named effects."""
-    library = side.library
-    if not library.calibrated:
-        return _no_columns(stretches)
-    numbers = []
-    for entry, value in zip(library.calibrated, point.calibration, strict=True):
-        own, index = library.numbers[entry.columns[0][0]], calibrated_number(library, entry)
-        there = FreeNumber(entry.candidate, index, tuple(entry.candidate.null), own.step)
-        numbers.append(with_refitted(there, value))
-    return responses(stretches, point.hypothesis(library), numbers, side.counter)
 
 
 def _step(parameter, value: float) -> float:  # type: ignore[no-untyped-def]
     """A small step that stays within the range of a parameter."""
-    step = 0.2 * parameter.step
+    step = _SMALL * parameter.step
     return step if parameter.low <= value + step <= parameter.high else -step
 
 

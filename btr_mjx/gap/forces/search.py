@@ -63,9 +63,6 @@ def first_variances(side: ForceSide, hypothesis: Hypothesis) -> Variances:
 def start(side: ForceSide, base: Hypothesis) -> Fitted:
     """The believed model with calibration and variances at their best.
 
-    Columns of the believed model at measured states are wrong by what calibration changes, and a step along them leads
-    past the best: it settles once more, with columns that are taken where it was.
-
     Args:
       side: the recordings to fit.
       base: the believed model.
@@ -80,7 +77,7 @@ def start(side: ForceSide, base: Hypothesis) -> Fitted:
             "model: its motion from one sample to the next cannot be computed; a joint or body has hardly any inertia: "
             "give it its mass, or the joint an armature"
         )
-    return settled(side, fit.point, fit.variances, about=fit.stretches)
+    return fit
 
 
 def library_columns(side: ForceSide, fit: Fitted) -> np.ndarray:
@@ -91,7 +88,7 @@ def library_columns(side: ForceSide, fit: Fitted) -> np.ndarray:
     library = side.library
     at = {e.columns[0][0]: v for e, v in zip(library.calibrated, fit.point.calibration, strict=True)}
     numbers = [with_refitted(number, at.get(i, 0.0)) for i, number in enumerate(library.numbers)]
-    return responses(fit.stretches, fit.point.hypothesis(library), numbers, side.counter)
+    return responses(fit.stretches, fit.point.hypothesis(library), numbers, fit.linear.reach, side.counter)
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,8 +36,8 @@ a believed model that is 100 away from its best lacks what another one is given.
 _FRESH = 3
 """Steps with derivatives of their own; in later ones numbers move by little."""
 
-_UPDATES = 4
-"""Updates of variances in a round."""
+_FARTHEST = 8.0
+"""Largest factor by which changes of variances are extrapolated."""
 
 
 def newton_step(side: ForceSide, fit: Fitted) -> LeastSquares:
@@ -90,10 +90,8 @@ def _settled(side: ForceSide, point: Point, variances: Variances, about: Stretch
         return fit
     stuck, taken = False, 0
     for _ in range(ROUNDS):
-        before, updated = fit.loss, fit.variances
-        for _ in range(_UPDATES):
-            updated = smoothed(fit.linear, np.zeros_like(fit.linear.defect), updated).variances
-        fit = again(side, fit, updated)
+        before = fit.loss
+        fit = again(side, fit, _updated(fit))
         # A step that failed is tried again when variances have settled, which costs no simulation.
         if not stuck or before - fit.loss < _SETTLED:
             after = _stepped(side, fit, fresh=taken < _FRESH)
@@ -101,6 +99,26 @@ def _settled(side: ForceSide, point: Point, variances: Variances, about: Stretch
         if before - fit.loss < _SETTLED:
             break
     return fit
+
+
+def _updated(fit: Fitted) -> Variances:
+    """Variances nearer to their best at a point: three updates, with an extrapolation of two of them before the last.
+
+    Updates converge slowly where a random force and the noise of a sensor explain the same; squared extrapolation of
+    their logarithms does not (SQUAREM; Varadhan and Roland, 2008).
+    """
+    nothing = np.zeros_like(fit.linear.defect)
+    path = [fit.variances]
+    for _ in range(2):
+        path.append(smoothed(fit.linear, nothing, path[-1]).variances)
+    first, second, third = (np.log(np.r_[v.sensor, v.force, v.jitter]) for v in path)
+    change, bend = second - first, third - 2 * second + first
+    length = np.clip(np.linalg.norm(change) / max(np.linalg.norm(bend), 1e-300), 1.0, _FARTHEST)
+    there = np.exp(first + 2 * length * change + length**2 * bend)
+    nx = len(path[0].sensor)
+    sensor, force, jitter = there[:nx], there[nx:-1], float(there[-1])
+    bold = replace(path[-1], sensor=np.maximum(sensor, fit.stretches.least**2), force=force, jitter=jitter)
+    return smoothed(fit.linear, nothing, bold).variances
 
 
 def _stepped(side: ForceSide, fit: Fitted, fresh: bool) -> Fitted:
@@ -121,7 +139,7 @@ def _stepped(side: ForceSide, fit: Fitted, fresh: bool) -> Fitted:
             # Derivatives cost ten times what a step does that is tried and not taken.
             after = evaluate_point(side, trial, fit.variances, fit, about)
             if fresh and after.loss < fit.loss + 1.0:
-                after = evaluate_point(side, trial, fit.variances, fit, about, fresh=True)
+                after = evaluate_point(side, trial, fit.variances, stretches=about)
             if after.loss < fit.loss + 1.0:
                 return after
         size *= 0.2
@@ -155,10 +173,10 @@ def fit_of(side: ForceSide, start: Point, record: Mapping[str, np.ndarray]) -> F
     def place(numbers: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> Expansion:
         return with_numbers(start, numbers), side.stretches.about(qpos, qvel)
 
-    first, second, third = map(place, record["numbers"], record["qpos"], record["qvel"])
+    first, second = map(place, record["numbers"], record["qpos"], record["qvel"])
     weight = record["weight"] if record["weight"].size else None
     variances = Variances(record["sensor"], float(record["jitter"]), record["force"], weight)
     uncounted = replace(side, counter=Counter())  # its steps are those of the record
-    places = (first, second, third)
+    places = (first, second)
     parts = cache(lambda: evaluate_places(uncounted, places, variances).parts())
-    return Fitted(third[0], variances, float(record["loss"]), parts, places)
+    return Fitted(second[0], variances, float(record["loss"]), parts, places)

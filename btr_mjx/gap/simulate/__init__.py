@@ -5,10 +5,10 @@ runs `Job`s (a world over `Segments` of recordings) in batches on threads. `Coun
 `Journal` also stores the results on disk, so that an interrupted search can resume.
 """
 
-from btr_mjx.gap.simulate.actuator_forces import actuator_forces
 from btr_mjx.gap.simulate.batch import Counter, simulate
 from btr_mjx.gap.simulate.commands import Command, command_phase
 from btr_mjx.gap.simulate.following import followed_search
+from btr_mjx.gap.simulate.forward_dynamics import accelerations, actuator_forces
 from btr_mjx.gap.simulate.journal import Journal
 from btr_mjx.gap.simulate.laws import Rows, StateLaw
 from btr_mjx.gap.simulate.needed_forces import needed_forces
@@ -25,6 +25,7 @@ __all__ = [
     "Segments",
     "StateLaw",
     "World",
+    "accelerations",
     "actuator_forces",
     "command_phase",
     "differing_fields",

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from btr_mjx.gap.simulate.batch import batch_blocks, prepared_batch
-from btr_mjx.gap.simulate.segments import Controls, Job
+from btr_mjx.gap.simulate.forward_dynamics import forward_batches
+from btr_mjx.gap.simulate.segments import Job
 
 _CONSTRAINTS = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 _FRICTION = "dof_frictionloss"
@@ -37,19 +37,12 @@ def needed_forces(
       For each job (W, nv) missing forces and (W, nv) of the actuators [N or N m].
     """
     out = [(np.empty(own.shape), np.empty(own.shape)) for own in accelerations]
-    for block in batch_blocks(jobs, length):
-        own = prepared_batch(block, jobs, length, 1, _CONSTRAINTS)
-        batch = own.batch
-        Controls(own.pieces, own.rows, length, own.base.nu, 0.5).write(0, batch.bind("ctrl"))
-        smooth, actuator, inertia, velocity = map(batch.bind, ("qfrc_smooth", "qfrc_actuator", "M", "qvel"))
-        friction = batch.expand(_FRICTION)
-        own.forces.start()
-        own.forces.apply()
-        batch.forward()
-        given = smooth - friction * np.tanh(velocity / slow)
+    fields = ("qfrc_smooth", "qfrc_actuator", "M", "qvel")
+    for block, own, found in forward_batches(jobs, length, fields, 0.5, _CONSTRAINTS):
+        given = found["qfrc_smooth"] - own.batch.expand(_FRICTION) * np.tanh(found["qvel"] / slow)
         for (i, a, b), rows in zip(block, own.rows, strict=True):
-            out[i][0][a:b] = _product(own.base, inertia[rows], accelerations[i][a:b]) - given[rows]
-            out[i][1][a:b] = actuator[rows]
+            out[i][0][a:b] = _product(own.base, found["M"][rows], accelerations[i][a:b]) - given[rows]
+            out[i][1][a:b] = found["qfrc_actuator"][rows]
     return out
 
 

@@ -157,9 +157,18 @@ class Controls:
     """Controls of all rows, evaluated once per distinct (segments, command edits), for a block of steps at a time."""
 
     def __init__(
-        self, pieces: Sequence[Job], rows: Sequence[slice], dt: float, nu: int, phase: float | None = None
+        self,
+        pieces: Sequence[Job],
+        rows: Sequence[slice],
+        dt: float,
+        nu: int,
+        phase: float | None = None,
+        edited: dict[tuple, Command] | None = None,
     ) -> None:
-        """Prepare; values that are not held are taken at a phase of the step, see `command_phase` for None."""
+        """Prepare; values that are not held are taken at a phase of the step, see `command_phase` for None.
+
+        Given `edited`, edited commands are kept there, for other batches of the same worlds.
+        """
         self._pieces, self._rows, self._dt, self._nu, self._phase = pieces, rows, dt, nu, phase
         self._keys = [
             (
@@ -170,7 +179,7 @@ class Controls:
             )
             for world, segments in pieces
         ]
-        self._edited: dict[tuple, Command] = {}
+        self._edited: dict[tuple, Command] = {} if edited is None else edited
         self._filled: dict[tuple, np.ndarray] = {}
         self._from = -BLOCK
 

@@ -32,7 +32,7 @@ def fitted(seed: int, change) -> tuple[ForceSide, Fitted]:
 def test_a_number_that_may_as_well_be_nothing_is_not_named(seed: int) -> None:
     side, fit = fitted(seed, as_believed)
     (value,) = fit.point.named[0][1]
-    assert 0.005 < abs(value) < 2 * np.sqrt(covariance(side, fit)[0, 0])
+    assert 0.001 < abs(value) < 2 * np.sqrt(covariance(side, fit)[0, 0])
     assert without_invisible(side, fit).point.named == ()
 
 

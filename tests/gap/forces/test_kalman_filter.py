@@ -45,7 +45,7 @@ def linear() -> Linearised:
     transition = np.eye(4) + 0.2 * rng.standard_normal((*shape, 4, 4))
     force = rng.standard_normal((*shape, 4, 2)) * np.array([1e-3, 1e-3, 0.3, 0.3])[:, None]
     defect = rng.standard_normal((*shape, 4)) * np.array([1e-3, 1e-3, 0.02, 0.02])
-    return Linearised(own, defect, transition, force, np.zeros((*shape, 0, 4)), interval)
+    return Linearised(own, defect, transition, np.zeros((*shape, 4, 2)), force, np.zeros((*shape, 0, 4)), interval)
 
 
 @pytest.fixture(scope="module")

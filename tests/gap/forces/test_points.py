@@ -15,7 +15,7 @@ from btr_mjx.gap.forces import points
 from btr_mjx.gap.forces.held_out import held_out, is_better
 from btr_mjx.gap.forces.horizons import cut_horizons
 from btr_mjx.gap.forces.kalman_filter import filtered, smoothed
-from btr_mjx.gap.forces.motion import FreeNumber, responses
+from btr_mjx.gap.forces.motion import FreeNumber, linearise_motion, responses
 from btr_mjx.gap.forces.points import ForceSide, Point, again, covariance, evaluate_point
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_better, predicts_worse
 from btr_mjx.gap.forces.scan import price
@@ -64,7 +64,8 @@ def test_columns_of_groups_are_sums_of_those_of_members(sides):
         small = 0.01 * entry.candidate.parameters[0].step
         numbers = [FreeNumber(m.candidate, 0, m.at, small) for m in members]
         numbers.append(FreeNumber(entry.candidate, 0, tuple(entry.candidate.null), small))
-        found = responses(side.stretches, believed(), numbers)
+        reach = linearise_motion(side.stretches, believed()).reach
+        found = responses(side.stretches, believed(), numbers, reach)
         np.testing.assert_allclose(
             found[..., 0] + found[..., 1], found[..., 2], atol=0.01 * np.abs(found[..., 2]).max()
         )
@@ -178,7 +179,7 @@ def test_derivatives_at_a_point_are_those_of_its_hypothesis(sides, named):
     side = sides[0]
     calibrated = Point(believed(), (), named.point.calibration).hypothesis(side.library)
     number = FreeNumber(candidate, 0, values, 0.2 * candidate.parameters[0].step)
-    expected = responses(fit.linear.stretches, calibrated, [number])[..., 0]
+    expected = responses(fit.linear.stretches, calibrated, [number], fit.linear.reach)[..., 0]
     np.testing.assert_allclose(fit.columns[..., 0], expected, rtol=1e-6, atol=1e-9)
 
 

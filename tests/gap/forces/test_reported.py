@@ -63,8 +63,8 @@ def test_reports_tell_a_weak_motor_from_friction(stretches: Stretches) -> None:
     places = (f"viscous_damping@{joint}", f"actuator_gain@{drive}", f"torque_constant@{drive}")
     damping, gain, constant = (one(model, name, effects) for name in places)
     numbers = [FreeNumber(c, 0, tuple(c.null), 0.01) for c in (damping, gain, constant)]
-    found = responses(stretches, believed(), numbers)
-    slope = linearise_motion(stretches, believed()).slope
+    linear = linearise_motion(stretches, believed())
+    found, slope = responses(stretches, believed(), numbers, linear.reach), linear.slope
     own = found[0, :, 4:] - np.einsum("kij,kjc->kic", slope[0], found[0, :, :4])
     forces = np.stack([force_at(stretches, k) for k in range(1, 61)])
     np.testing.assert_allclose(own[..., 0], 0, atol=1e-6 * np.abs(forces).max())
