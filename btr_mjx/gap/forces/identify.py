@@ -245,7 +245,7 @@ def _settled_names(
     for count in range(len(chain), 1, -1):
         seen, followed = without_invisible(side, chain[count - 1]), None
         while seen.point.named and seen is not followed:
-            last, point = last_numbers(side, seen, follow)
+            last, point = seen, last_numbers(side, seen, follow)
             followed = replace(last, point=point)
             seen = without_invisible(side, followed)
         if not seen.point.named:
@@ -254,8 +254,7 @@ def _settled_names(
         if not any(predicts_worse(own.stretches.data, before, after, own.counter) for own in (side, test)):
             return [*chain[: count - 1], last], point, worse
         worse = True
-    last, point = last_numbers(side, chain[0], follow)
-    return [last], point, worse
+    return [chain[0]], last_numbers(side, chain[0], follow), worse
 
 
 def _believed(side: ForceSide, fit: Fitted) -> Hypothesis:

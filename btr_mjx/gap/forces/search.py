@@ -13,10 +13,10 @@ from btr_mjx.gap.forces.evidence import CalibrationPrior
 from btr_mjx.gap.forces.kalman_filter import SPAN, Variances, filtered
 from btr_mjx.gap.forces.law_scan import scan_laws
 from btr_mjx.gap.forces.motion import linearise_motion, responses
-from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, evaluate_point, names
+from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, again, evaluate_point, names
 from btr_mjx.gap.forces.predictions import RELATIVE_ERROR, compared_predictions
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
-from btr_mjx.gap.forces.settling import settled
+from btr_mjx.gap.forces.settling import settled, updated_variances
 from btr_mjx.gap.forces.unknowns import LIMIT_SIZES, with_refitted
 
 _FAR = 0.02
@@ -25,8 +25,11 @@ _FAR = 0.02
 _JITTER = 0.02
 """Jitter of time stamps to start with, in intervals."""
 
+_TRIED = 8
+"""Leads of a scan that are simulated once."""
+
 _FINALISTS = 3
-"""Leads of a scan whose numbers are refined."""
+"""The best of these, whose numbers are refined."""
 
 _PLACES = 2
 """Leads of one effect among them."""
@@ -39,7 +42,8 @@ class SearchRound:
     Attributes:
       before: the hypothesis to which one more effect was sought.
       leads: of the scan, best first, then those of laws.
-      finalists: refined leads with their scores, best first; only those that no other one beats in predictions.
+      finalists: refined leads with their scores, best first; only those that no other one beats in predictions, from
+        the first on that held-out recordings bear out, where they do so of any.
     """
 
     before: Fitted
@@ -155,16 +159,32 @@ def one_more(
 
 
 def _refined(side: ForceSide, fit: Fitted, leads: Sequence[Scanned], choices: int) -> list[tuple[float, Fitted]]:
-    """Leads with their numbers at their best, and their scores."""
-    out = []
-    for lead in leads:
-        moved = fit.point.moved(lead.changes, lead.calibration)
-        if lead.candidate.effect.saturates:
-            lead = replace(lead, values=_tightened(side, fit, lead))
-            moved = fit.point
-        point = replace(moved, named=(*moved.named, (lead.candidate, lead.values)))
-        out.append(_judged(side, fit, settled(side, point, fit.variances, about=fit.stretches), choices))
+    """The best leads with their numbers at their best, and their scores.
+
+    A scan is linear, and the random force of the hypothesis before may hide most of what a lead explains:
+    each is simulated at its scanned values, with variances of its own, before the best are refined.
+    """
+    tried = [_judged(side, fit, _tried(side, fit, lead), choices) for lead in leads]
+    tried.sort(key=lambda row: -row[0])
+    out: list[tuple[float, Fitted]] = []
+    for _, found in tried:
+        effect = found.point.named[-1][0].effect
+        same = sum(other.point.named[-1][0].effect is effect for _, other in out)
+        if same < _PLACES and len(out) < _FINALISTS:
+            best = settled(side, found.point, found.variances, about=fit.stretches)
+            out.append(_judged(side, fit, best, choices))
     return out
+
+
+def _tried(side: ForceSide, fit: Fitted, lead: Scanned) -> Fitted:
+    """A lead at its scanned values, with variances of its own, beside a fit whose derivatives are kept."""
+    bare = replace(fit, parts=lambda: (fit.linear, fit.columns[..., :0], fit.whitened))
+    moved, values = fit.point.moved(lead.changes, lead.calibration), [lead.values]
+    if lead.candidate.effect.saturates:
+        moved, values = fit.point, _tightened(lead)
+    named = [replace(moved, named=(*moved.named, (lead.candidate, own))) for own in values]
+    found = min((evaluate_point(side, point, fit.variances, bare) for point in named), key=lambda own: own.loss)
+    return again(side, found, updated_variances(found))
 
 
 def _judged(side: ForceSide, fit: Fitted, found: Fitted, choices: int) -> tuple[float, Fitted]:
@@ -188,26 +208,24 @@ def _unbeaten(side: ForceSide, finalists: Sequence[tuple[float, Fitted]], needed
     return [row for row in finalists if not any(row[1] is fit for fit in beaten)]
 
 
-def _tightened(side: ForceSide, fit: Fitted, lead: Scanned) -> tuple[float, ...]:
-    """Values of a limit at the best of some sizes, by simulation: what it does is not linear."""
+def _tightened(lead: Scanned) -> list[tuple[float, ...]]:
+    """Values of a limit that are tried: what it does is not linear."""
     limits = [(p, p.low if p.step < 0 else p.high) for p in lead.candidate.parameters]
-    tries = [lead.values]
+    out = [lead.values]
     for share in LIMIT_SIZES:
-        tries.append(tuple(p.null if p.shape else p.null + share * (tightest - p.null) for p, tightest in limits))
-    named = [replace(fit.point, named=(*fit.point.named, (lead.candidate, values))) for values in tries]
-    losses = [evaluate_point(side, point, fit.variances, fit).loss for point in named]
-    return tries[int(np.argmin(losses))]
+        out.append(tuple(p.null if p.shape else p.null + share * (tightest - p.null) for p, tightest in limits))
+    return out
 
 
 def shortlist(leads: Sequence[Scanned], least: float = 0.0) -> list[Scanned]:
-    """Leads whose numbers are refined: the best ones above a score, at most `_PLACES` of an effect.
+    """Leads that are tried: the best ones above a score, at most `_PLACES` of an effect, and the best limit.
 
-    The best limit is always among them: what it does is not linear, so that the scan says little of it.
+    What a limit does is not linear, so that the scan says little of it.
     """
     out: list[Scanned] = []
     for lead in leads:
         same = sum(other.candidate.effect is lead.candidate.effect for other in out)
-        if lead.score > least and same < _PLACES and len(out) < _FINALISTS:
+        if lead.score > least and same < _PLACES and len(out) < _TRIED:
             out.append(lead)
     limits = [lead for lead in leads if lead.candidate.effect.saturates and lead.score > least]
     return out + [lead for lead in limits[:1] if lead not in out]
@@ -222,7 +240,7 @@ def select_effects(
     laws: Sequence[Candidate] = (),
     drives: bool = True,
 ) -> tuple[list[SearchRound], list[Fitted], bool]:
-    """Search for one effect after another, until nothing more pays or one is not confirmed.
+    """Search for one effect after another, until nothing more pays or none of the finalists is confirmed.
 
     Args:
       side: the recordings to fit.
@@ -235,7 +253,7 @@ def select_effects(
 
     Returns:
       The rounds; the fitted points, which are the believed model and then one more confirmed effect each; and whether
-      an effect was not confirmed.
+      none of several was confirmed.
     """
     chain: list[Fitted] = [first]
     rounds: list[SearchRound] = []
@@ -243,14 +261,18 @@ def select_effects(
         note("one more effect" if rounds else "effects")
         needed = RELATIVE_ERROR**2 * (chain[0].loss - chain[-1].loss)
         rounds.append(one_more(side, chain[-1], needed, laws, drives))
-        if not rounds[-1].finalists or rounds[-1].finalists[0][0] <= needed:
+        able = [own for score, own in rounds[-1].finalists if score > needed]
+        if not able:
             break
-        found = pruned(side, rounds[-1].finalists[0][1], chain[0])
-        # What the new effect makes worthless may be what it is best beside: then they would come and go for ever.
-        if any(sorted(names(found.point.named)) == sorted(names(fit.point.named)) for fit in chain):
-            break
-        note("held-out recordings")
-        if not is_confirmed(chain[-1], found):
-            return rounds, chain, True
-        chain.append(found)
+        for i, finalist in enumerate(able):
+            found = pruned(side, finalist, chain[0])
+            # What the new effect makes worthless may be what it is best beside: they would come and go for ever.
+            known = any(sorted(names(found.point.named)) == sorted(names(fit.point.named)) for fit in chain)
+            note("held-out recordings")
+            if not known and is_confirmed(chain[-1], found):
+                chain.append(found)
+                rounds[-1] = replace(rounds[-1], finalists=rounds[-1].finalists[i:])
+                break
+        else:
+            return rounds, chain, not known
     return rounds, chain, False

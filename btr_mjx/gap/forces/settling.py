@@ -29,6 +29,9 @@ _SETTLED = 1.0
 _SHORTEST = 0.1
 """Part of a Gauss-Newton step that is tried at least."""
 
+_TOLERATED = 1.0
+"""Rise of -2 ln p of a step that is taken: around other states the same motion is a little more or less likely."""
+
 ROUNDS = 20
 """Rounds of steps of numbers and of variances, at most. Hypotheses are compared by likelihoods that have to be settled:
 a believed model that is 100 away from its best lacks what another one is given."""
@@ -91,7 +94,7 @@ def _settled(side: ForceSide, point: Point, variances: Variances, about: Stretch
     stuck, taken = False, 0
     for _ in range(ROUNDS):
         before = fit.loss
-        fit = again(side, fit, _updated(fit))
+        fit = again(side, fit, updated_variances(fit))
         # A step that failed is tried again when variances have settled, which costs no simulation.
         if not stuck or before - fit.loss < _SETTLED:
             after = _stepped(side, fit, fresh=taken < _FRESH)
@@ -101,7 +104,7 @@ def _settled(side: ForceSide, point: Point, variances: Variances, about: Stretch
     return fit
 
 
-def _updated(fit: Fitted) -> Variances:
+def updated_variances(fit: Fitted) -> Variances:
     """Variances nearer to their best at a point: three updates, with an extrapolation of two of them before the last.
 
     Updates converge slowly where a random force and the noise of a sensor explain the same; squared extrapolation of
@@ -122,27 +125,39 @@ def _updated(fit: Fitted) -> Variances:
 
 
 def _stepped(side: ForceSide, fit: Fitted, fresh: bool) -> Fitted:
-    """The point behind the longest part of a Gauss-Newton step that does not lose; the same one where every part does.
+    """The point behind the part of a Gauss-Newton step that gains most; the same one where every part loses.
 
     Args:
       side: the recordings to fit.
       fit: where to start.
-      fresh: whether derivatives are computed there anew.
+      fresh: whether derivatives are computed there anew. The first part that does not lose is taken where they are not,
+        since numbers move by little then.
     """
-    step, size, own = newton_step(side, fit), 1.0, fit.point.calibration
+    step, own = newton_step(side, fit), fit.point.calibration
     change = np.concatenate([step.values, step.calibration - own])
-    while size > _SHORTEST:
+
+    def part(size: float) -> Fitted:
         # Dry friction turns round within a sample: around states that are smoothed without it, it would be late.
         states = smoothed(fit.linear, size * fit.columns @ change, fit.variances).state
         trial = fit.point.moved(size * step.values, own + size * (step.calibration - own))
-        for about in (moved_states(fit.stretches, states), fit.stretches):
-            # Derivatives cost ten times what a step does that is tried and not taken.
-            after = evaluate_point(side, trial, fit.variances, fit, about)
-            if fresh and after.loss < fit.loss + 1.0:
-                after = evaluate_point(side, trial, fit.variances, stretches=about)
-            if after.loss < fit.loss + 1.0:
-                return after
-        size *= 0.2
+        places = moved_states(fit.stretches, states), fit.stretches
+        moved, same = (evaluate_point(side, trial, fit.variances, fit, about) for about in places)
+        return moved if moved.loss < min(same.loss, fit.loss) + _TOLERATED else same
+
+    size, best = 1.0, part(1.0)
+    while size > _SHORTEST:
+        after = part(size / 2) if fresh or best.loss >= fit.loss + _TOLERATED else best
+        size /= 2
+        if after.loss < best.loss:
+            best = after
+            continue
+        # Derivatives cost ten times what a step does that is tried and not taken.
+        found = best
+        if fresh and best.loss < fit.loss + _TOLERATED:
+            found = evaluate_point(side, best.point, fit.variances, stretches=best.stretches)
+        if found.loss < fit.loss + _TOLERATED:
+            return found
+        best = after
     return fit
 
 

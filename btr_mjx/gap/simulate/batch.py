@@ -276,7 +276,13 @@ class _Forces:
         wrenches = batch.bind("xfrc_applied")
         for (world, _), own in zip(pieces, rows, strict=True):
             wrenches[own] = world.wrench
-        with_laws = [(world, own) for (world, _), own in zip(pieces, rows, strict=True) if world.laws]
+        # One call for all recordings of a world: calls of laws are a large part of a step.
+        with_laws: list[tuple[World, slice]] = []
+        for (world, _), own in zip(pieces, rows, strict=True):
+            if with_laws and with_laws[-1][0] is world and with_laws[-1][1].stop == own.start:
+                with_laws[-1] = world, slice(with_laws[-1][1].start, own.stop)
+            elif world.laws:
+                with_laws.append((world, own))
         if not with_laws:
             return
         state = {

@@ -182,6 +182,7 @@ class Controls:
         self._edited: dict[tuple, Command] = {} if edited is None else edited
         self._filled: dict[tuple, np.ndarray] = {}
         self._from = -BLOCK
+        self._steps: np.ndarray | None = None
 
     def write(self, step: int, ctrl: np.ndarray) -> None:
         """Write the controls of one step to ctrl (rows, nu), see `Command.over_step`."""
@@ -189,8 +190,9 @@ class Controls:
             return
         if not 0 <= step - self._from < BLOCK:
             self._fill(step)
-        for key, own in zip(self._keys, self._rows, strict=True):
-            ctrl[own] = self._filled[key][step - self._from]
+        if self._steps is None:
+            self._steps = np.concatenate([self._filled[key] for key in self._keys], 1)
+        ctrl[:] = self._steps[step - self._from]
 
     def block(self, first: int, count: int) -> np.ndarray | None:
         """Controls (rows, count, nu) of `count` <= `BLOCK` steps; None for a model without controls."""
@@ -203,7 +205,7 @@ class Controls:
         return out
 
     def _fill(self, first: int) -> None:
-        self._filled, self._from = {}, first
+        self._filled, self._from, self._steps = {}, first, None
         longest = max(float(segments.times.max(initial=0)) for _, segments in self._pieces)
         count = min(BLOCK, int(longest / self._dt) + 2 - first)
         since = (first + np.arange(count)) * self._dt

@@ -1,4 +1,4 @@
-"""Forward selection: it ends."""
+"""Forward selection: it ends, and takes what held-out recordings bear out."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -19,10 +19,35 @@ def test_effects_that_come_and_go_end_the_search(monkeypatch: pytest.MonkeyPatch
     count = iter(range(10))
 
     def one_more(side: Any, fit: Any, needed: float, laws: Any, drives: bool) -> Any:
-        return SimpleNamespace(finalists=[(50.0, next(count))])
+        return search.SearchRound(fit, (), ((50.0, next(count)),))  # type: ignore[arg-type]
 
     monkeypatch.setattr(search, "one_more", one_more)
     monkeypatch.setattr(search, "pruned", lambda side, found, null: _fit(*turns[found % len(turns)]))
     rounds, chain, _ = search.select_effects(None, _fit(), 5, lambda _: None, lambda *_: True)  # type: ignore[arg-type]
     found = [tuple(c.name for c, _ in fit.point.named) for fit in chain]
     assert len(set(found)) == len(found) == len(rounds)
+
+
+@pytest.mark.parametrize(("borne_out", "last"), [("abc", "a"), ("bc", "b"), ("c", None), ("", None)])
+def test_the_best_candidate_that_is_borne_out_is_named(
+    monkeypatch: pytest.MonkeyPatch, borne_out: str, last: str | None
+) -> None:
+    """The third one scores less than is needed, whatever held-out recordings say of it."""
+    finalists = tuple((score, _fit(name)) for score, name in ((50.0, "a"), (40.0, "b"), (-1.0, "c")))
+    monkeypatch.setattr(search, "one_more", lambda side, fit, *_: search.SearchRound(fit, (), finalists))
+    monkeypatch.setattr(search, "pruned", lambda side, found, null: found)
+    said: list[str] = []
+
+    def is_confirmed(before: Any, after: Any) -> bool:
+        name = after.point.named[-1][0].name
+        said.append(name)
+        return name in borne_out
+
+    rounds, chain, contradicted = search.select_effects(None, _fit(), 1, lambda _: None, is_confirmed)  # type: ignore[arg-type]
+    assert [c.name for c, _ in chain[-1].point.named] == ([last] if last else [])
+    assert contradicted == (last is None)
+    if last:
+        assert rounds[-1].finalists[0][1] is chain[-1]  # what the page calls the best one
+    else:
+        assert rounds[-1].finalists == finalists
+        assert said == ["a", "b"]

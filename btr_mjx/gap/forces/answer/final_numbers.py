@@ -7,7 +7,6 @@ import numpy as np
 from btr_mjx.gap.effects import OF_LOG
 from btr_mjx.gap.forces.horizons import follow_horizons
 from btr_mjx.gap.forces.points import QUANTILE, Fitted, ForceSide, Named, Point, covariance, numbers_of, with_numbers
-from btr_mjx.gap.forces.predictions import compared_predictions
 from btr_mjx.gap.forces.settling import settled
 from btr_mjx.gap.forces.unknowns import Library, calibrated_number
 
@@ -22,24 +21,18 @@ def without_invisible(side: ForceSide, fit: Fitted) -> Fitted:
     return fit
 
 
-def last_numbers(side: ForceSide, fit: Fitted, follow: bool) -> tuple[Fitted, Point]:
-    """A fit and its point with numbers that follow recordings, or those of the same names from no calibration.
+def last_numbers(side: ForceSide, fit: Fitted, follow: bool) -> Point:
+    """The point of a fit as the mended model has it.
 
-    At its bounds, calibration may still stand for what was named after it. Predictions choose; where they cannot tell,
-    the likelihood does. A change is the difference of two sets whose numbers are found alike: those of neither follow
-    recordings, and what moves within the calibration that the first set leaves open is no change.
+    A change is the difference of two sets whose numbers are found alike: those of neither follow recordings, and what
+    moves within the calibration that the first set leaves open is no change.
+
+    Args:
+      side: the recordings to fit.
+      fit: with named effects.
+      follow: whether its numbers follow recordings, see `follow_horizons`.
     """
-    if not follow:
-        return fit, _without_log(side.library, fit.point)
-    if not fit.point.named:
-        return fit, _followed(side, fit)
-    point = replace(fit.point, calibration=np.zeros_like(fit.point.calibration))
-    fits = [fit, settled(side, point, fit.variances, about=fit.stretches)]
-    points = [_followed(side, own) for own in fits]
-    makes = [own.hypothesis(side.library) for own in points]
-    told = compared_predictions(side.stretches.data, makes, side.counter)[0, 1]
-    chosen = int(told > 0 if told else fits[1].loss < fit.loss)
-    return fits[chosen], points[chosen]
+    return _followed(side, fit) if follow else _without_log(side.library, fit.point)
 
 
 def _followed(side: ForceSide, fit: Fitted) -> Point:
