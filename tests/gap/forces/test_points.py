@@ -200,7 +200,8 @@ def test_one_more_effect_is_the_true_one_and_stays(sides, null):
         )
     )
     single = [fit for _, fit in found.finalists if len(fit.point.named) == 1]
-    assert len(single) <= 3 < len(shortlist(found.leads)) <= 9
+    assert len(single) <= 3
+    assert len(shortlist(found.leads)) <= 9
 
 
 def test_finalists_that_predict_worse_are_left_out(sides, null, named):
