@@ -24,9 +24,6 @@ from btr_mjx.gap.simulate import Counter, accelerations, simulate
 from btr_mjx.gap.windows import MakeWorld
 from btr_mjx.models import between, difference, integrate
 
-_LONGEST = 2.5e-3
-"""Longest such time step [s]."""
-
 
 @dataclass(frozen=True)
 class FreeNumber:
@@ -267,14 +264,12 @@ def _extrapolated(stretches: Stretches, make: MakeWorld, counter: Counter | None
 
 
 def time_step(model: mujoco.MjModel, interval: np.ndarray, factor: float = 1.0) -> float:
-    """The longest time step that divides the usual interval and is no longer than that of the model times a factor.
+    """The longest time step that divides the usual interval and is no longer than that of the model, times a factor.
 
-    Factors below 1 divide it once more: half a step is exactly that, as extrapolation needs it.
+    Half a step is exactly that, as extrapolation needs it.
     """
     usual = float(np.median(interval))
-    own = float(model.opt.timestep)
-    longest = max(own, min(factor * own, _LONGEST))
-    return usual / max(1, math.ceil(usual / longest - 1e-3)) * min(factor, 1.0)
+    return factor * usual / max(1, math.ceil(usual / float(model.opt.timestep) - 1e-3))
 
 
 def _minus(model: mujoco.MjModel, states: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -159,10 +159,10 @@ def test_errors_of_time_steps_are_of_second_order():
 def test_time_steps_divide_intervals():
     model = arm()
     for interval in (0.003, 0.004, 0.005, 0.02, 1 / 60):
-        for factor in (0.5, 1.0, 2.5):
+        for factor in (0.5, 1.0):
             step = time_step(model, np.full((2, 5), interval), factor)
             assert interval / step == pytest.approx(round(interval / step))
-            assert step <= max(1.0, factor) * model.opt.timestep * 1.001
+            assert step <= factor * model.opt.timestep * 1.001
         half, whole = time_step(model, np.full(5, interval), 0.5), time_step(model, np.full(5, interval))
         assert whole / half == pytest.approx(2)  # what extrapolation needs
     assert time_step(model, np.array([0.004, 0.004, 0.3]), 1.0) == pytest.approx(0.002)  # a gap in a recording
