@@ -199,8 +199,7 @@ def test_one_more_effect_is_the_true_one_and_stays(sides, null):
             len({e.candidate.name for e in sides[0].library.entries}),
         )
     )
-    single = [fit for _, fit in found.finalists if len(fit.point.named) == 1]
-    assert len(single) <= 3
+    assert len(found.finalists) <= 3 + 2  # two whole drives: with stiffnesses of their servos and without
     assert len(shortlist(found.leads)) <= 9
 
 
