@@ -121,7 +121,7 @@ def prepare_forces(dataset: Dataset) -> PreparedForces | None:
 
 
 def _without_contacts(data: PreparedData) -> PreparedData:
-    """The same of a robot that touches nothing: contacts are not looked for, which takes a third of a step."""
+    """The same of a robot that touches nothing: a step need not look for contacts."""
     models = {id(r.model): copy.copy(r.model) for r in data.recordings}
     for model in models.values():
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)

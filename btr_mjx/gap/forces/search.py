@@ -253,7 +253,7 @@ def select_effects(
 
     Returns:
       The rounds; the fitted points, which are the believed model and then one more confirmed effect each; and whether
-      none of several was confirmed.
+      held-out recordings bore out none of several.
     """
     chain: list[Fitted] = [first]
     rounds: list[SearchRound] = []
@@ -264,15 +264,18 @@ def select_effects(
         able = [own for score, own in rounds[-1].finalists if score > needed]
         if not able:
             break
+        contradicted = False
         for i, finalist in enumerate(able):
             found = pruned(side, finalist, chain[0])
             # What the new effect makes worthless may be what it is best beside: they would come and go for ever.
-            known = any(sorted(names(found.point.named)) == sorted(names(fit.point.named)) for fit in chain)
+            if any(sorted(names(found.point.named)) == sorted(names(fit.point.named)) for fit in chain):
+                continue
             note("held-out recordings")
-            if not known and is_confirmed(chain[-1], found):
+            contradicted = not is_confirmed(chain[-1], found)
+            if not contradicted:
                 chain.append(found)
                 rounds[-1] = replace(rounds[-1], finalists=rounds[-1].finalists[i:])
                 break
         else:
-            return rounds, chain, not known
+            return rounds, chain, contradicted
     return rounds, chain, False

@@ -51,3 +51,17 @@ def test_the_best_candidate_that_is_borne_out_is_named(
     else:
         assert rounds[-1].finalists == finalists
         assert said == ["a", "b"]
+
+
+def test_a_name_that_comes_again_contradicts_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One candidate is not borne out, and pruning leaves of the next one what was named before."""
+    rounds_of = iter([((50.0, _fit("a")),), ((40.0, _fit("b")), (30.0, _fit("a")))])
+    monkeypatch.setattr(search, "one_more", lambda side, fit, *_: search.SearchRound(fit, (), next(rounds_of)))
+    monkeypatch.setattr(search, "pruned", lambda side, found, null: found)
+
+    def is_confirmed(before: Any, after: Any) -> bool:
+        return after.point.named[-1][0].name == "a"
+
+    _, chain, contradicted = search.select_effects(None, _fit(), 5, lambda _: None, is_confirmed)  # type: ignore[arg-type]
+    assert [c.name for c, _ in chain[-1].point.named] == ["a"]
+    assert contradicted  # by "b", whatever came after it
