@@ -85,11 +85,13 @@ class Smoothed:
       state: (S, K + 1, 2 nv) expected error e.
       force: (S, K, nv) expected random force [N or N m].
       variances: updated.
+      loss: -2 ln p of the residual with the variances as they were.
     """
 
     state: np.ndarray
     force: np.ndarray
     variances: Variances
+    loss: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,9 +129,9 @@ def smoothed(linear: Linearised, effect: np.ndarray, variances: Variances) -> Sm
     """
     residual = linear.stretches.residual()
     inputs = (effect - linear.defect)[..., None]
-    _, _, kept = _forward(linear, inputs, residual, variances, keep=True)
+    gram, logs, kept = _forward(linear, inputs, residual, variances, keep=True)
     assert kept is not None
-    return _backward(linear, kept, variances)
+    return _backward(linear, kept, variances, float(gram.sum() + logs.sum()) + variances.penalty)
 
 
 def _usual(linear: Linearised, variances: Variances) -> np.ndarray:
@@ -224,7 +226,7 @@ def _forward(
     return gram, logs, _Pass(gain, precision, innovations, means, covs)
 
 
-def _backward(linear: Linearised, kept: _Pass, variances: Variances) -> Smoothed:
+def _backward(linear: Linearised, kept: _Pass, variances: Variances, loss: float) -> Smoothed:
     """Disturbance smoother: scores of all variances, and smoothed states."""
     s, k, nx, nv = linear.force.shape
     seen = np.flatnonzero(linear.stretches.seen)
@@ -274,7 +276,7 @@ def _backward(linear: Linearised, kept: _Pass, variances: Variances) -> Smoothed
         force=variances.force * _ratio(push, push_n),
         weight=_weights(linear, (force**2 + spread) / usual),
     )
-    return Smoothed(state, force, updated)
+    return Smoothed(state, force, updated, loss)
 
 
 def _ratio(score: np.ndarray, information: np.ndarray) -> np.ndarray:

@@ -49,8 +49,9 @@ class Linearised:
     Attributes:
       stretches: with the states around which they are linearised.
       defect: (S, K, nx) d_k.
+      steps: (S, K, 2 nv) errors of simulations at the time step of the model, which `defect` is without.
       transition: (S, K, nx, nx) A_k.
-      reach: (S, K, 2 nv, nv) the response of the state to a constant acceleration.
+      inertia: (S, K, nv, nv) mass matrices at the starts of the intervals.
       force: (S, K, nx, nv) G_k, the response to a constant generalised force.
       slope: (S, K, nx - 2 nv, 2 nv) C_k, of reported forces at the ends of the intervals.
       interval: (S, K) lengths [s].
@@ -58,11 +59,19 @@ class Linearised:
 
     stretches: Stretches
     defect: np.ndarray
+    steps: np.ndarray
     transition: np.ndarray
-    reach: np.ndarray
+    inertia: np.ndarray
     force: np.ndarray
     slope: np.ndarray
     interval: np.ndarray
+
+    def responses(self, pushes: np.ndarray) -> np.ndarray:
+        """(S, K, nx, C) responses of the state to `pushes` (S, K, nv + m, C)."""
+        nv = self.force.shape[-1]
+        out = self.force @ pushes[..., :nv, :]
+        out[..., 2 * nv :, :] += pushes[..., nv:, :]
+        return out
 
 
 def linearise_motion(
@@ -74,14 +83,15 @@ def linearise_motion(
       stretches: where.
       make: the hypothesis.
       counter: adds up the simulated steps.
-      known: a linearisation whose transitions and responses are kept; None to compute them.
+      known: a linearisation whose derivatives and errors of time steps are kept; None to compute them.
     """
     interval = np.diff(stretches.time, axis=1)
     model = stretches.data.recordings[0].model
     nv = model.nv
-    base = _extrapolated(stretches, make, counter)
     target = np.concatenate([stretches.qpos[:, 1:], stretches.qvel[:, 1:]], -1)
-    defect = np.nan_to_num(_minus(model, target, base))
+    (whole,) = ends(stretches, [make], counter=counter)
+    steps = _step_errors(stretches, make, whole, counter) if known is None else known.steps
+    defect = np.nan_to_num(_minus(model, target, whole) + steps)
     shifts = _shifts(stretches)
     slope = force_slopes(stretches, make, shifts, counter) if known is None else known.slope
     (reported,) = reported_forces(stretches, [make], counter)
@@ -89,11 +99,12 @@ def linearise_motion(
     if known is not None:
         return replace(known, stretches=stretches, defect=defect)
     transition, reach = _flow(_slopes_of_motion(stretches, make, shifts, counter), interval)
-    force = reach @ _inverse_inertia(stretches, make)
+    inertia = _inertia(stretches, make)
+    force = reach @ np.linalg.inv(inertia)
     unused = np.zeros((*interval.shape, 2 * nv + slope.shape[-2], slope.shape[-2]))
     transition = np.concatenate([np.concatenate([transition, slope @ transition], -2), unused], -1)
     force = np.concatenate([force, slope @ force], -2)
-    return Linearised(stretches, defect, transition, reach, force, slope, interval)
+    return Linearised(stretches, defect, steps, transition, inertia, force, slope, interval)
 
 
 def _slopes_of_motion(stretches: Stretches, make: MakeWorld, shifts: np.ndarray, counter: Counter | None) -> np.ndarray:
@@ -173,29 +184,26 @@ def accelerations_at(
     return out
 
 
-def responses(
-    stretches: Stretches,
-    base: Hypothesis,
-    numbers: Sequence[FreeNumber],
-    reach: np.ndarray,
-    counter: Counter | None = None,
+def pushes(
+    linear: Linearised, base: Hypothesis, numbers: Sequence[FreeNumber], counter: Counter | None = None
 ) -> np.ndarray:
-    """Derivatives of the ends of intervals with respect to numbers of effects beside a hypothesis.
+    """Generalised forces with which a unit of each number pushes a hypothesis, and what drives report of it.
 
-    An effect changes the acceleration in the middle of an interval, which stands for the whole of it.
+    An effect changes the acceleration in the middle of an interval, which stands for the whole of it. As forces these
+    changes hardly depend on what moves: where another rotor or servo is found, `Linearised.responses` changes with it.
 
     Args:
-      stretches: where.
+      linear: of the hypothesis.
       base: the hypothesis without the effects of `numbers`.
       numbers: the numbers.
-      reach: (S, K, 2 nv, nv) responses to constant accelerations, see `Linearised`.
       counter: adds up the evaluations.
 
     Returns:
-      (S, K, nx, C).
+      (S, K, nv + m, C).
     """
     makes: list[MakeWorld] = []
     where: dict[tuple, int] = {}
+    stretches, inertia = linear.stretches, linear.inertia
 
     def place(candidate: Candidate, values: tuple[float, ...]) -> int:
         plain = bool(np.all(np.array(values) == candidate.null)) and not any(p.shape for p in candidate.parameters)
@@ -212,12 +220,10 @@ def responses(
         pairs.append((place(number.candidate, number.at), place(number.candidate, tuple(moved))))
     found = accelerations_at(stretches, makes, _middles(stretches), counter)
     forces = reported_forces(stretches, makes, counter)
-    slope = force_slopes(stretches, base, _shifts(stretches), counter)
-    out = np.empty((len(stretches), stretches.intervals, reach.shape[-2] + slope.shape[-2], len(numbers)))
+    out = np.empty((*linear.interval.shape, inertia.shape[-1] + linear.slope.shape[-2], len(numbers)))
     for c, ((a, b), number) in enumerate(zip(pairs, numbers, strict=True)):
-        moved = (reach @ np.nan_to_num(found[b] - found[a])[..., None])[..., 0]
-        of_forces = (slope @ moved[..., None])[..., 0] + forces[b] - forces[a]
-        out[..., c] = np.concatenate([moved, of_forces], -1) / number.step
+        of_motion = (inertia @ np.nan_to_num(found[b] - found[a])[..., None])[..., 0]
+        out[..., c] = np.concatenate([of_motion, forces[b] - forces[a]], -1) / number.step
     return out
 
 
@@ -249,18 +255,15 @@ def ends(
     return out
 
 
-def _extrapolated(stretches: Stretches, make: MakeWorld, counter: Counter | None) -> np.ndarray:
-    """States (S, K, nq + nv) at the ends of intervals, extrapolated to vanishing time steps.
+def _step_errors(stretches: Stretches, make: MakeWorld, whole: np.ndarray, counter: Counter | None) -> np.ndarray:
+    """Errors (S, K, 2 nv) of states at the ends of intervals, which the time step of the simulation makes.
 
     Semi-implicit Euler damps a stiff servo k by k h / 2 too little, and its velocities are those of half a step before.
     Both errors are of first order in the step h: 2 f(h / 2) - f(h) has neither (Richardson).
     """
-    model = stretches.data.recordings[0].model
-    whole, half = (ends(stretches, [make], counter=counter, factor=factor)[0] for factor in (1.0, 0.5))
-    more = _minus(model, half, whole)
-    more = np.where(np.isfinite(more), more, 0.0)
-    position = integrate(model, half[..., : model.nq], more[..., : model.nv])
-    return np.concatenate([position, half[..., model.nq :] + more[..., model.nv :]], -1)
+    (half,) = ends(stretches, [make], counter=counter, factor=0.5)
+    errors = 2 * _minus(stretches.data.recordings[0].model, whole, half)
+    return np.where(np.isfinite(errors), errors, 0.0)
 
 
 def time_step(model: mujoco.MjModel, interval: np.ndarray, factor: float = 1.0) -> float:
@@ -291,8 +294,8 @@ def _shifts(stretches: Stretches) -> np.ndarray:
     return np.concatenate([np.maximum(low_q, known_q), np.maximum(low_v, np.minimum(known_q / interval, 0.1 * size_v))])
 
 
-def _inverse_inertia(stretches: Stretches, make: MakeWorld) -> np.ndarray:
-    """(S, K, nv, nv) inverse of the mass matrix at the starts of the intervals."""
+def _inertia(stretches: Stretches, make: MakeWorld) -> np.ndarray:
+    """(S, K, nv, nv) mass matrices at the starts of the intervals."""
     count, nv = stretches.intervals, stretches.qvel.shape[-1]
     out = np.empty((len(stretches), count, nv, nv))
     for s, r in enumerate(stretches.recording):
@@ -303,4 +306,4 @@ def _inverse_inertia(stretches: Stretches, make: MakeWorld) -> np.ndarray:
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fullM(model, data, full)
             out[s, k] = full
-    return np.linalg.inv(out)
+    return out

@@ -8,7 +8,7 @@ import numpy as np
 from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.evidence import penalty
 from btr_mjx.gap.forces.kalman_filter import Filtered, Variances, filtered
-from btr_mjx.gap.forces.motion import FreeNumber, Linearised, linearise_motion, responses
+from btr_mjx.gap.forces.motion import FreeNumber, Linearised, linearise_motion, pushes
 from btr_mjx.gap.forces.stretches import Stretches
 from btr_mjx.gap.forces.unknowns import Library, calibrated_effects, calibrated_number, with_refitted
 from btr_mjx.gap.simulate import Counter
@@ -96,16 +96,16 @@ class Fitted:
       point: the point.
       variances: with which residual and columns were whitened.
       loss: -2 ln p, determinants included; inf where the model is no model of a body.
-      parts: its linearised motion, columns and what they are whitened, which are computed at the first call where the
-        fit was read from a file.
-      places: where derivatives, and the motion were computed.
+      parts: its linearised motion, pushes of its numbers and of calibration, and residual and columns whitened, which
+        are computed at the first call where the fit was read from a file.
+      places: where pushes of calibration, other derivatives, and the motion were computed.
     """
 
     point: Point
     variances: Variances
     loss: float
     parts: Callable[[], tuple[Linearised, np.ndarray, Filtered]]
-    places: tuple[Expansion, Expansion]
+    places: tuple[Expansion, Expansion, Expansion]
 
     @property
     def linear(self) -> Linearised:
@@ -113,9 +113,14 @@ class Fitted:
         return self.parts()[0]
 
     @property
-    def columns(self) -> np.ndarray:
-        """(S, K, 2 nv, p + n) derivatives with respect to its numbers and to calibration."""
+    def pushes(self) -> np.ndarray:
+        """(S, K, nv + m, p + n) of its numbers and of calibration."""
         return self.parts()[1]
+
+    @property
+    def columns(self) -> np.ndarray:
+        """(S, K, nx, p + n) derivatives with respect to its numbers and to calibration."""
+        return self.linear.responses(self.pushes)
 
     @property
     def whitened(self) -> Filtered:
@@ -129,7 +134,7 @@ class Fitted:
 
     def with_whitened(self, whitened: Filtered) -> "Fitted":
         """The same with another residual and columns, whitened."""
-        return replace(self, parts=lambda: (self.linear, self.columns, whitened))
+        return replace(self, parts=lambda: (self.linear, self.pushes, whitened))
 
 
 def evaluate_point(
@@ -138,6 +143,7 @@ def evaluate_point(
     variances: Variances,
     known: Fitted | None = None,
     stretches: Stretches | None = None,
+    anew: bool = False,
 ) -> Fitted:
     """Linearise and filter a point.
 
@@ -147,45 +153,49 @@ def evaluate_point(
       variances: of sensors and random force.
       known: a fit of the same names whose derivatives are kept; None to compute them.
       stretches: states around which the motion is linearised; None for those of `known`, or of the side.
+      anew: whether only pushes of calibration, which moves by little, are those of `known`.
     """
     if stretches is None:
         stretches = side.stretches if known is None else known.stretches
-    hypothesis, here = point.hypothesis(side.library), (point, stretches)
-    if known is not None:
-        linear = linearise_motion(stretches, hypothesis, side.counter, known.linear)
-        return _whitened(linear, known.columns, variances, side, (known.places[0], here))
-    linear = linearise_motion(stretches, hypothesis, side.counter)
-    return _whitened(linear, _columns(side, point, linear), variances, side, (here, here))
+    here = (point, stretches)
+    if known is not None and not anew:
+        linear = linearise_motion(stretches, point.hypothesis(side.library), side.counter, known.linear)
+        return _whitened(linear, known.pushes, variances, side, (*known.places[:2], here))
+    linear = linearise_motion(stretches, point.hypothesis(side.library), side.counter)
+    own = _pushes(side, point, linear)
+    if known is None:
+        return _whitened(linear, _with_calibration(side, point, linear, own), variances, side, (here, here, here))
+    every = np.concatenate([own, known.pushes[..., own.shape[-1] :]], -1)
+    return _whitened(linear, every, variances, side, (known.places[0], here, here))
 
 
-def evaluate_places(side: ForceSide, places: tuple[Expansion, Expansion], variances: Variances) -> Fitted:
-    """Linearise and filter the second of two places, with derivatives that were computed at the first.
+def evaluate_places(side: ForceSide, places: tuple[Expansion, Expansion, Expansion], variances: Variances) -> Fitted:
+    """Linearise and filter the last of the places of a fit, see `Fitted`, with derivatives of the others.
 
     Args:
       side: of the split.
-      places: of a fit, see `Fitted`.
+      places: of a fit.
       variances: of sensors and random force.
     """
-    (taken, derived), (last, moved) = places
-    linear = linearise_motion(derived, taken.hypothesis(side.library), side.counter)
-    columns = _columns(side, taken, linear)
-    linear = linearise_motion(moved, last.hypothesis(side.library), side.counter, linear)
-    return _whitened(linear, columns, variances, side, places)
+    (begun, first), (taken, derived), (last, moved) = places
+    fit = evaluate_point(side, begun, variances, stretches=first)
+    fit = evaluate_point(side, taken, variances, fit, derived, anew=True)
+    return evaluate_point(side, last, variances, fit, moved)
 
 
 def again(side: ForceSide, fit: Fitted, variances: Variances) -> Fitted:
     """The same point with other variances."""
-    return _whitened(fit.linear, fit.columns, variances, side, fit.places)
+    return _whitened(fit.linear, fit.pushes, variances, side, fit.places)
 
 
 def _whitened(
     linear: Linearised,
-    columns: np.ndarray,
+    forces: np.ndarray,
     variances: Variances,
     side: ForceSide,
-    places: tuple[Expansion, Expansion],
+    places: tuple[Expansion, Expansion, Expansion],
 ) -> Fitted:
-    point = places[-1][0]
+    point, columns = places[-1][0], linear.responses(forces)
     try:
         found = filtered(linear, columns, variances)
     except np.linalg.LinAlgError:
@@ -194,27 +204,28 @@ def _whitened(
         found = Filtered(np.full((len(columns), size, size), np.inf), np.zeros(len(columns)), 0)
     loss = float(found.gram[:, 0, 0].sum() + found.log_determinant.sum())
     loss += variances.penalty + penalty(point.calibration, side.library.calibration)
-    return Fitted(point, variances, loss if np.isfinite(loss) else np.inf, lambda: (linear, columns, found), places)
+    return Fitted(point, variances, loss if np.isfinite(loss) else np.inf, lambda: (linear, forces, found), places)
 
 
-def _columns(side: ForceSide, point: Point, linear: Linearised) -> np.ndarray:
-    """(S, K, nx, p + n) derivatives with respect to numbers of named effects and to calibration, each at its value."""
-    stretches, library, counter = linear.stretches, side.library, side.counter
-    out = [np.zeros((*linear.defect.shape, 0))]
+def _pushes(side: ForceSide, point: Point, linear: Linearised) -> np.ndarray:
+    """(S, K, nv + m, p) of numbers of named effects, each at its value."""
+    out = [np.zeros((*linear.interval.shape, linear.force.shape[-1] + linear.slope.shape[-2], 0))]
     for i, (candidate, values) in enumerate(point.named):
         numbers = [
             FreeNumber(candidate, j, values, _step(own, values[j])) for j, own in enumerate(candidate.parameters)
         ]
-        base = point.hypothesis(library, without=i)
-        out.append(responses(stretches, base, numbers, linear.reach, counter))
-    if library.calibrated:
-        numbers = []
-        for entry, value in zip(library.calibrated, point.calibration, strict=True):
-            step, index = library.numbers[entry.columns[0][0]].step, calibrated_number(library, entry)
-            there = FreeNumber(entry.candidate, index, tuple(entry.candidate.null), _SMALL * step)
-            numbers.append(with_refitted(there, value))
-        out.append(responses(stretches, point.hypothesis(library), numbers, linear.reach, counter))
+        out.append(pushes(linear, point.hypothesis(side.library, without=i), numbers, side.counter))
     return np.concatenate(out, -1)
+
+
+def _with_calibration(side: ForceSide, point: Point, linear: Linearised, own: np.ndarray) -> np.ndarray:
+    """Pushes (S, K, nv + m, p + n) of a point: its own, then those of calibration."""
+    numbers = []
+    for entry, value in zip(side.library.calibrated, point.calibration, strict=True):
+        step, index = side.library.numbers[entry.columns[0][0]].step, calibrated_number(side.library, entry)
+        there = FreeNumber(entry.candidate, index, tuple(entry.candidate.null), _SMALL * step)
+        numbers.append(with_refitted(there, value))
+    return np.concatenate([own, pushes(linear, point.hypothesis(side.library), numbers, side.counter)], -1)
 
 
 def _step(parameter, value: float) -> float:  # type: ignore[no-untyped-def]

@@ -9,10 +9,10 @@ from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import Candidate, Hypothesis
 from btr_mjx.gap.forces.drive import drive_points
 from btr_mjx.gap.forces.elimination import pruned
-from btr_mjx.gap.forces.evidence import CalibrationPrior
+from btr_mjx.gap.forces.evidence import CalibrationPrior, least_squares
 from btr_mjx.gap.forces.kalman_filter import SPAN, Variances, filtered
 from btr_mjx.gap.forces.law_scan import scan_laws
-from btr_mjx.gap.forces.motion import linearise_motion, responses
+from btr_mjx.gap.forces.motion import linearise_motion, pushes
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, again, evaluate_point, names
 from btr_mjx.gap.forces.predictions import RELATIVE_ERROR, compared_predictions
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
@@ -92,13 +92,14 @@ def library_columns(side: ForceSide, fit: Fitted) -> np.ndarray:
     library = side.library
     at = {e.columns[0][0]: v for e, v in zip(library.calibrated, fit.point.calibration, strict=True)}
     numbers = [with_refitted(number, at.get(i, 0.0)) for i, number in enumerate(library.numbers)]
-    return responses(fit.stretches, fit.point.hypothesis(library), numbers, fit.linear.reach, side.counter)
+    return fit.linear.responses(pushes(fit.linear, fit.point.hypothesis(library), numbers, side.counter))
 
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """What a scan beside a fitted point needs: inner products of all columns and of the point's own numbers."""
+    """What a scan beside a fitted point needs: all columns and those of its own numbers, and their inner products."""
 
+    columns: np.ndarray
     gram: np.ndarray
     given: np.ndarray
     calibration: CalibrationPrior
@@ -118,7 +119,7 @@ def _scene(side: ForceSide, fit: Fitted) -> _Scene:
         design=np.concatenate([library.calibration.design, padding]),
         at=fit.point.calibration,
     )
-    return _Scene(whitened.gram.sum(0), given, calibration, fit.whitened.count * len(side.stretches))
+    return _Scene(every, whitened.gram.sum(0), given, calibration, fit.whitened.count * len(side.stretches))
 
 
 def one_more(
@@ -141,8 +142,9 @@ def one_more(
     _, leads = scan_columns(scene.gram, entries, scene.given, scene.calibration, scene.count)
     choices = len({entry.candidate.name for entry in library.entries})
     whole = [
-        _judged(side, fit, settled(side, point, first_variances(side, point.hypothesis(library))), choices)
+        _judged(side, fit, settled(side, point, variances), choices)
         for point in (drive_points(side, fit) if drives else [])
+        if _may_pay(side, fit, scene, point, variances := first_variances(side, point.hypothesis(library)), choices)
     ]
     least = max(needed, _FAR * whole[0][0] if whole else 0.0)
     finalists = [*whole, *_refined(side, fit, shortlist(leads, least), choices)]
@@ -156,6 +158,22 @@ def one_more(
         leads = [*leads, *(lead for lead in found.leads if lead.score > 0)]
     finalists.sort(key=lambda row: -row[0])
     return SearchRound(fit, tuple(leads), tuple(_unbeaten(side, finalists, needed)))
+
+
+def _may_pay(side: ForceSide, fit: Fitted, scene: _Scene, point: Point, variances: Variances, choices: int) -> bool:
+    """Whether what a point has beside a fit pays in the scan, with the random force that this point leaves.
+
+    That of the fit may hide it: rotors that a model lacks are explained by whatever pushes it.
+    """
+    own = {candidate.name for candidate, _ in point.named} - set(names(fit.point.named))
+    entries = {entry.candidate.name: entry for entry in side.library.entries if entry.candidate.name in own}
+    free = [entry.design(scene.columns.shape[-1]) for entry in entries.values()]
+    gram = filtered(fit.linear, scene.columns, variances).gram.sum(0)
+    before, after = (
+        least_squares(gram, np.concatenate([scene.given, *more], 1), scene.calibration).loss for more in ([], free)
+    )
+    numbers = point.numbers - fit.point.numbers
+    return before - after > price(numbers, scene.count, choices)
 
 
 def _refined(side: ForceSide, fit: Fitted, leads: Sequence[Scanned], choices: int) -> list[tuple[float, Fitted]]:
@@ -178,7 +196,7 @@ def _refined(side: ForceSide, fit: Fitted, leads: Sequence[Scanned], choices: in
 
 def _tried(side: ForceSide, fit: Fitted, lead: Scanned) -> Fitted:
     """A lead at its scanned values, with variances of its own, beside a fit whose derivatives are kept."""
-    bare = replace(fit, parts=lambda: (fit.linear, fit.columns[..., :0], fit.whitened))
+    bare = replace(fit, parts=lambda: (fit.linear, fit.pushes[..., :0], fit.whitened))
     moved, values = fit.point.moved(lead.changes, lead.calibration), [lead.values]
     if lead.candidate.effect.saturates:
         moved, values = fit.point, _tightened(lead)

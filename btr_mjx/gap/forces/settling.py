@@ -108,20 +108,21 @@ def updated_variances(fit: Fitted) -> Variances:
     """Variances nearer to their best at a point: three updates, with an extrapolation of two of them before the last.
 
     Updates converge slowly where a random force and the noise of a sensor explain the same; squared extrapolation of
-    their logarithms does not (SQUAREM; Varadhan and Roland, 2008).
+    their logarithms does not (SQUAREM; Varadhan and Roland, 2008). An extrapolation that is less likely than what it
+    starts from is not taken.
     """
     nothing = np.zeros_like(fit.linear.defect)
-    path = [fit.variances]
-    for _ in range(2):
-        path.append(smoothed(fit.linear, nothing, path[-1]).variances)
-    first, second, third = (np.log(np.r_[v.sensor, v.force, v.jitter]) for v in path)
-    change, bend = second - first, third - 2 * second + first
+    first = smoothed(fit.linear, nothing, fit.variances)
+    second = smoothed(fit.linear, nothing, first.variances)
+    path = [np.log(np.r_[v.sensor, v.force, v.jitter]) for v in (fit.variances, first.variances, second.variances)]
+    change, bend = path[1] - path[0], path[2] - 2 * path[1] + path[0]
     length = np.clip(np.linalg.norm(change) / max(np.linalg.norm(bend), 1e-300), 1.0, _FARTHEST)
-    there = np.exp(first + 2 * length * change + length**2 * bend)
-    nx = len(path[0].sensor)
+    there = np.exp(path[0] + 2 * length * change + length**2 * bend)
+    nx = len(fit.variances.sensor)
     sensor, force, jitter = there[:nx], there[nx:-1], float(there[-1])
-    bold = replace(path[-1], sensor=np.maximum(sensor, fit.stretches.least**2), force=force, jitter=jitter)
-    return smoothed(fit.linear, nothing, bold).variances
+    bold = replace(second.variances, sensor=np.maximum(sensor, fit.stretches.least**2), force=force, jitter=jitter)
+    third = smoothed(fit.linear, nothing, bold)
+    return third.variances if third.loss < second.loss else second.variances
 
 
 def _stepped(side: ForceSide, fit: Fitted, fresh: bool) -> Fitted:
@@ -154,7 +155,7 @@ def _stepped(side: ForceSide, fit: Fitted, fresh: bool) -> Fitted:
         # Derivatives cost ten times what a step does that is tried and not taken.
         found = best
         if fresh and best.loss < fit.loss + _TOLERATED:
-            found = evaluate_point(side, best.point, fit.variances, stretches=best.stretches)
+            found = evaluate_point(side, best.point, fit.variances, fit, best.stretches, anew=True)
         if found.loss < fit.loss + _TOLERATED:
             return found
         best = after
@@ -188,10 +189,10 @@ def fit_of(side: ForceSide, start: Point, record: Mapping[str, np.ndarray]) -> F
     def place(numbers: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> Expansion:
         return with_numbers(start, numbers), side.stretches.about(qpos, qvel)
 
-    first, second = map(place, record["numbers"], record["qpos"], record["qvel"])
+    first, second, third = map(place, record["numbers"], record["qpos"], record["qvel"])
     weight = record["weight"] if record["weight"].size else None
     variances = Variances(record["sensor"], float(record["jitter"]), record["force"], weight)
     uncounted = replace(side, counter=Counter())  # its steps are those of the record
-    places = (first, second)
+    places = (first, second, third)
     parts = cache(lambda: evaluate_places(uncounted, places, variances).parts())
-    return Fitted(second[0], variances, float(record["loss"]), parts, places)
+    return Fitted(third[0], variances, float(record["loss"]), parts, places)
