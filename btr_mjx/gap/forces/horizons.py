@@ -2,8 +2,7 @@
 
 Forces say what is missing. Their numbers carry errors of velocities and accelerations, which a simulation over many
 samples does not see; a long simulation in turn says nothing where motion diverges. So numbers are moved, no more than
-forces allow, to where simulations are nearest to the data, over the longest horizon that is followed, and then over
-longer ones.
+forces allow, to where simulations are nearest to the data, over horizons that grow while they are followed.
 """
 
 from collections.abc import Sequence
@@ -80,45 +79,17 @@ def follow_horizons(side: ForceSide, point: Point, covariance: np.ndarray, libra
         return point
     samples = SAMPLES * _NUMBERS // max(_NUMBERS, len(numbers.free))
     covariance = covariance[np.ix_(numbers.free, numbers.free)]
-    horizon, best, ready = _SHORTEST, point, None
-
-    def look() -> "_Followed | None":
+    horizon, best = _SHORTEST, point
+    while horizon < _LONGER * longest:
         trial = cut_horizons(data, min(horizon, longest), samples)
         errors, step_errors = _errors_at(trial, best.hypothesis(library), side.counter)
         rms = np.sqrt(np.median(np.concatenate([(e[..., seen] ** 2).mean(1) for e in errors]), 0))
-        return (
-            _Followed(trial, errors, step_errors, seen, rms, FOLLOWS * size) if np.all(rms < FOLLOWS * size) else None
-        )
-
-    while horizon < _LONGER * longest:
-        longer = look()
-        if longer is None and ready is not None:
-            best, covariance = _nearest(side, ready, best, numbers.at(best), covariance)
-            longer = look()
-        if longer is None:
-            return best
-        ready, horizon = longer, _LONGER * horizon
-    return best if ready is None else _nearest(side, ready, best, numbers.at(best), covariance)[0]
-
-
-@dataclass(frozen=True, eq=False)
-class _Followed:
-    """A horizon over which a point follows recordings.
-
-    Attributes:
-      trial: the horizon.
-      errors, steps: of the point, see `_errors_at`; those of the time steps stay, since numbers move by little.
-      seen: coordinates that were measured.
-      rms: (len(seen),) size of their errors.
-      most: (len(seen),) the largest error of what is followed.
-    """
-
-    trial: Horizon
-    errors: list[np.ndarray]
-    steps: list[np.ndarray]
-    seen: np.ndarray
-    rms: np.ndarray
-    most: np.ndarray
+        if not np.all(rms < FOLLOWS * size):
+            break
+        scale = seen, rms, FOLLOWS * size
+        best, covariance = _nearest(side, trial, best, numbers.at(best), covariance, scale, (errors, step_errors))
+        horizon *= _LONGER
+    return best
 
 
 def cut_horizons(data: PreparedData, horizon: float, samples: float = np.inf) -> Horizon:
@@ -248,23 +219,31 @@ class _Numbers:
 
 
 def _nearest(
-    side: ForceSide, over: _Followed, point: Point, numbers: _Numbers, covariance: np.ndarray
+    side: ForceSide,
+    trial: Horizon,
+    point: Point,
+    numbers: _Numbers,
+    covariance: np.ndarray,
+    scale: tuple[np.ndarray, np.ndarray, np.ndarray],
+    errors: tuple[list[np.ndarray], list[np.ndarray]],
 ) -> tuple[Point, np.ndarray]:
     """The point nearest to the data over one horizon, and the covariance of its numbers.
 
     Args:
       side: counts the steps.
-      over: the horizon.
+      trial: the horizon.
       point: what forces and shorter horizons say.
       numbers: of the point, which are moved.
       covariance: (m, m) of them.
+      scale: coordinates that were measured, the size of their errors, and the largest error of what is followed.
+      errors: of the point, see `_errors_at`; those of the time steps stay, since numbers move by little.
     """
     low, high, step, start = numbers.low, numbers.high, numbers.step, numbers.value
     root = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    seen, rms, most = over.seen, over.rms, over.most
+    seen, rms, most = scale
 
     # A simulation that is lost, as a pendulum that passes its top on the other side, counts as one at the bound.
-    lost = [((e[..., seen] / most) ** 2).mean((1, 2), keepdims=True) for e in over.errors]
+    lost = [((e[..., seen] / most) ** 2).mean((1, 2), keepdims=True) for e in errors[0]]
     weights = [1 / np.sqrt(np.maximum(own, 1.0)) for own in lost]
 
     def residual(values: np.ndarray, found: Sequence[np.ndarray]) -> np.ndarray:
@@ -275,11 +254,11 @@ def _nearest(
 
     def residuals(many: Sequence[np.ndarray]) -> list[np.ndarray]:
         hypotheses = [numbers.moved(point, values).hypothesis(side.library) for values in many]
-        rows = position_errors(over.trial, hypotheses, side.counter)
-        exact = ([a - own for a, own in zip(row, over.steps, strict=True)] for row in rows)
+        rows = position_errors(trial, hypotheses, side.counter)
+        exact = ([a - own for a, own in zip(row, errors[1], strict=True)] for row in rows)
         return [residual(values, own) for values, own in zip(many, exact, strict=True)]
 
-    at, own = start, residual(start, over.errors)
+    at, own = start, residual(start, errors[0])
     steps = np.where(start + step <= high, step, -step)
     # One set of derivatives serves all steps: numbers move by little.
     slopes = (np.array(residuals(list(start + np.diag(steps)))) - own).T / steps

@@ -254,7 +254,7 @@ def _settled_names(
         if not any(predicts_worse(own.stretches.data, before, after, own.counter) for own in (side, test)):
             return [*chain[: count - 1], last], point, worse
         worse = True
-    return [chain[0]], last_numbers(side, chain[0], follow), worse
+    return [chain[0]], last_numbers(side, chain[0], follow=False), worse
 
 
 def _believed(side: ForceSide, fit: Fitted) -> Hypothesis:
