@@ -49,7 +49,6 @@ class Linearised:
     Attributes:
       stretches: with the states around which they are linearised.
       defect: (S, K, nx) d_k.
-      steps: (S, K, 2 nv) errors of simulations at the time step of the model, which `defect` is without.
       transition: (S, K, nx, nx) A_k.
       inertia: (S, K, nv, nv) mass matrices at the starts of the intervals.
       force: (S, K, nx, nv) G_k, the response to a constant generalised force.
@@ -59,7 +58,6 @@ class Linearised:
 
     stretches: Stretches
     defect: np.ndarray
-    steps: np.ndarray
     transition: np.ndarray
     inertia: np.ndarray
     force: np.ndarray
@@ -83,15 +81,13 @@ def linearise_motion(
       stretches: where.
       make: the hypothesis.
       counter: adds up the simulated steps.
-      known: a linearisation whose derivatives and errors of time steps are kept; None to compute them.
+      known: a linearisation whose derivatives are kept; None to compute them.
     """
     interval = np.diff(stretches.time, axis=1)
     model = stretches.data.recordings[0].model
     nv = model.nv
     target = np.concatenate([stretches.qpos[:, 1:], stretches.qvel[:, 1:]], -1)
-    (whole,) = ends(stretches, [make], counter=counter)
-    steps = _step_errors(stretches, make, whole, counter) if known is None else known.steps
-    defect = np.nan_to_num(_minus(model, target, whole) + steps)
+    defect = np.nan_to_num(_minus(model, target, _extrapolated(stretches, make, counter)))
     shifts = _shifts(stretches)
     slope = force_slopes(stretches, make, shifts, counter) if known is None else known.slope
     (reported,) = reported_forces(stretches, [make], counter)
@@ -104,7 +100,7 @@ def linearise_motion(
     unused = np.zeros((*interval.shape, 2 * nv + slope.shape[-2], slope.shape[-2]))
     transition = np.concatenate([np.concatenate([transition, slope @ transition], -2), unused], -1)
     force = np.concatenate([force, slope @ force], -2)
-    return Linearised(stretches, defect, steps, transition, inertia, force, slope, interval)
+    return Linearised(stretches, defect, transition, inertia, force, slope, interval)
 
 
 def _slopes_of_motion(stretches: Stretches, make: MakeWorld, shifts: np.ndarray, counter: Counter | None) -> np.ndarray:
@@ -255,15 +251,18 @@ def ends(
     return out
 
 
-def _step_errors(stretches: Stretches, make: MakeWorld, whole: np.ndarray, counter: Counter | None) -> np.ndarray:
-    """Errors (S, K, 2 nv) of states at the ends of intervals, which the time step of the simulation makes.
+def _extrapolated(stretches: Stretches, make: MakeWorld, counter: Counter | None) -> np.ndarray:
+    """States (S, K, nq + nv) at the ends of intervals, extrapolated to vanishing time steps.
 
     Semi-implicit Euler damps a stiff servo k by k h / 2 too little, and its velocities are those of half a step before.
     Both errors are of first order in the step h: 2 f(h / 2) - f(h) has neither (Richardson).
     """
-    (half,) = ends(stretches, [make], counter=counter, factor=0.5)
-    errors = 2 * _minus(stretches.data.recordings[0].model, whole, half)
-    return np.where(np.isfinite(errors), errors, 0.0)
+    model = stretches.data.recordings[0].model
+    whole, half = (ends(stretches, [make], counter=counter, factor=factor)[0] for factor in (1.0, 0.5))
+    more = _minus(model, half, whole)
+    more = np.where(np.isfinite(more), more, 0.0)
+    position = integrate(model, half[..., : model.nq], more[..., : model.nv])
+    return np.concatenate([position, half[..., model.nq :] + more[..., model.nv :]], -1)
 
 
 def time_step(model: mujoco.MjModel, interval: np.ndarray, factor: float = 1.0) -> float:

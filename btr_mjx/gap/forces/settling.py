@@ -122,7 +122,7 @@ def updated_variances(fit: Fitted) -> Variances:
     sensor, force, jitter = there[:nx], there[nx:-1], float(there[-1])
     bold = replace(second.variances, sensor=np.maximum(sensor, fit.stretches.least**2), force=force, jitter=jitter)
     third = smoothed(fit.linear, nothing, bold)
-    return third.variances if third.loss < second.loss else second.variances
+    return third.variances if third.loss < first.loss else second.variances
 
 
 def _stepped(side: ForceSide, fit: Fitted, fresh: bool) -> Fitted:

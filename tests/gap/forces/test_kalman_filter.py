@@ -45,7 +45,8 @@ def linear() -> Linearised:
     transition = np.eye(4) + 0.2 * rng.standard_normal((*shape, 4, 4))
     force = rng.standard_normal((*shape, 4, 2)) * np.array([1e-3, 1e-3, 0.3, 0.3])[:, None]
     defect = rng.standard_normal((*shape, 4)) * np.array([1e-3, 1e-3, 0.02, 0.02])
-    return Linearised(own, defect, transition, np.zeros((*shape, 4, 2)), force, np.zeros((*shape, 0, 4)), interval)
+    inertia = np.broadcast_to(np.eye(2), (*shape, 2, 2))
+    return Linearised(own, defect, transition, inertia, force, np.zeros((*shape, 0, 4)), interval)
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +127,8 @@ def test_whitened_innovations_have_the_products_of_the_joint_distribution(linear
             np.testing.assert_allclose(found.gram[s] / size / size[:, None], gram / size / size[:, None], atol=1e-7)
             assert found.gram[s, 0, 0] == pytest.approx(gram[0, 0], rel=1e-7)
             assert found.log_determinant[s] == pytest.approx(joint.log_determinant(), abs=1e-7)
+        loss = own.penalty + (found.gram[:, 0, 0] + found.log_determinant).sum()
+        assert smoothed(linear, np.zeros_like(linear.defect), own).loss == pytest.approx(loss, rel=1e-12)
         assert found.count == 3 * (INTERVALS + 1)
 
 

@@ -10,7 +10,7 @@ from gap_arm import LIBRARY, XML, arm
 from gap_forces import believed, exact_stretch, moved_arm
 from gap_models import one
 
-from btr_mjx.gap.forces.motion import FreeNumber, Linearised, ends, linearise_motion, responses, time_step
+from btr_mjx.gap.forces.motion import FreeNumber, Linearised, ends, linearise_motion, pushes, time_step
 from btr_mjx.gap.forces.stretches import Stretches
 from btr_mjx.gap.simulate import Counter, World
 
@@ -98,7 +98,7 @@ NUMBERS = (
 def test_columns_are_derivatives_of_the_motion(stretches, linear):
     """They are those of a motion that is simulated finely, except where a joint turns round: friction is not smooth."""
     numbers = [FreeNumber(one(arm(), name, LIBRARY), 0, (0.0,), step) for name, step, _ in NUMBERS]
-    found = responses(stretches, believed(), numbers, linear.reach)
+    found = linear.responses(pushes(linear, believed(), numbers))
     assert found.shape == (1, 60, 4, len(NUMBERS))
     steady = [k for k in range(2, 60, 7) if np.abs(stretches.qvel[0, k : k + 2]).min() > 0.3]
     assert len(steady) >= 4
@@ -115,15 +115,28 @@ def test_effects_beside_others_are_columns_beside_them(stretches):
     damping = one(arm(), "viscous_damping@joint:elbow", LIBRARY)
     gain = one(arm(), "actuator_gain@actuator:elbow", LIBRARY)
     number, damped = FreeNumber(gain, 0, (0.2,), 0.01), believed().with_effect(damping, [0.1])
-    reach = linearise_motion(stretches, damped.with_effect(gain, [0.2])).reach
-    found = responses(stretches, damped, [number], reach)[..., 0]
+    beside = linearise_motion(stretches, damped.with_effect(gain, [0.2]))
+    found = beside.responses(pushes(beside, damped, [number]))[..., 0]
     changed, plain = stronger(1, 0.21, 0.1), stronger(1, 0.2, 0.1)
     expected = np.array([(end(stretches, k, changed) - end(stretches, k, plain)) / 0.01 for k in SAMPLES])
     np.testing.assert_allclose(found[0, SAMPLES], expected, atol=0.03 * np.abs(expected).max())
-    alone = responses(
-        stretches, believed(), [replace(number, at=(0.0,))], linearise_motion(stretches, believed()).reach
-    )
+    plain_motion = linearise_motion(stretches, believed())
+    alone = plain_motion.responses(pushes(plain_motion, believed(), [replace(number, at=(0.0,))]))
     assert np.abs(found - alone[..., 0]).max() > 0.1
+
+
+def test_pushes_serve_beside_another_rotor(stretches, linear):
+    """Damping brakes a joint with a heavy rotor by less; the force with which it brakes is the same."""
+    damping = FreeNumber(one(arm(), "viscous_damping@joint:elbow", LIBRARY), 0, (0.0,), 0.02)
+    heavy = believed().with_effect(one(arm(), "armature@joint:elbow", LIBRARY), [0.05])
+    beside = linearise_motion(stretches, heavy)
+    kept, anew = (
+        own.responses(pushes(*of, [damping])) for own, of in ((beside, (linear, believed())), (beside, (beside, heavy)))
+    )
+    old = linear.responses(pushes(linear, believed(), [damping]))
+    size = np.abs(anew).max((0, 1, 3))
+    assert (np.abs(kept - anew).max((0, 1, 3)) < 0.01 * size)[[1, 3]].all()
+    assert (np.abs(old - anew).max((0, 1, 3)) > 0.5 * size)[[1, 3]].all()
 
 
 def test_nothing_is_left_of_the_motion_of_the_model_itself(stretches, linear):

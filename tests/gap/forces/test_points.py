@@ -15,12 +15,12 @@ from btr_mjx.gap.forces import points
 from btr_mjx.gap.forces.held_out import held_out, is_better
 from btr_mjx.gap.forces.horizons import cut_horizons
 from btr_mjx.gap.forces.kalman_filter import filtered, smoothed
-from btr_mjx.gap.forces.motion import FreeNumber, linearise_motion, responses
+from btr_mjx.gap.forces.motion import FreeNumber, linearise_motion, pushes
 from btr_mjx.gap.forces.points import ForceSide, Point, again, covariance, evaluate_point
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_better, predicts_worse
 from btr_mjx.gap.forces.scan import price
 from btr_mjx.gap.forces.search import _unbeaten, first_variances, one_more, pruned, shortlist, start
-from btr_mjx.gap.forces.settling import newton_step, settled
+from btr_mjx.gap.forces.settling import newton_step, settled, updated_variances
 from btr_mjx.gap.forces.unknowns import library_of
 from btr_mjx.gap.simulate import Counter, Journal
 from btr_mjx.gap.windows import scales_of
@@ -64,8 +64,8 @@ def test_columns_of_groups_are_sums_of_those_of_members(sides):
         small = 0.01 * entry.candidate.parameters[0].step
         numbers = [FreeNumber(m.candidate, 0, m.at, small) for m in members]
         numbers.append(FreeNumber(entry.candidate, 0, tuple(entry.candidate.null), small))
-        reach = linearise_motion(side.stretches, believed()).reach
-        found = responses(side.stretches, believed(), numbers, reach)
+        linear = linearise_motion(side.stretches, believed())
+        found = linear.responses(pushes(linear, believed(), numbers))
         np.testing.assert_allclose(
             found[..., 0] + found[..., 1], found[..., 2], atol=0.01 * np.abs(found[..., 2]).max()
         )
@@ -111,7 +111,7 @@ def test_a_body_without_inertia_is_no_hypothesis(sides, null) -> None:
     light = replace(null.linear, force=1e9 * null.linear.force)
     with pytest.raises(np.linalg.LinAlgError):
         filtered(light, null.columns, null.variances)
-    assert again(side, replace(null, parts=lambda: (light, null.columns, null.whitened)), null.variances).loss == np.inf
+    assert again(side, replace(null, parts=lambda: (light, null.pushes, null.whitened)), null.variances).loss == np.inf
 
 
 def test_a_believed_model_without_inertia_is_refused(sides, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -173,13 +173,24 @@ def test_noise_and_forces_come_right(sides, named, null):
     assert named.variances.force[1] < 0.1 * null.variances.force[1]
 
 
+def test_updated_variances_are_more_likely(sides, null):
+    """Near their best, too: an extrapolation that overshoots is not taken."""
+    fit = evaluate_point(sides[0], damping(sides[0], 0.03), null.variances)
+    losses = [fit.loss]
+    for _ in range(8):
+        fit = again(sides[0], fit, updated_variances(fit))
+        losses.append(fit.loss)
+    assert losses[-1] < losses[0] - 5
+    assert (np.diff(losses) < 0.05).all()
+
+
 def test_derivatives_at_a_point_are_those_of_its_hypothesis(sides, named):
     fit = evaluate_point(sides[0], named.point, named.variances)
     candidate, values = named.point.named[0]
     side = sides[0]
     calibrated = Point(believed(), (), named.point.calibration).hypothesis(side.library)
     number = FreeNumber(candidate, 0, values, 0.2 * candidate.parameters[0].step)
-    expected = responses(fit.linear.stretches, calibrated, [number], fit.linear.reach)[..., 0]
+    expected = fit.linear.responses(pushes(fit.linear, calibrated, [number]))[..., 0]
     np.testing.assert_allclose(fit.columns[..., 0], expected, rtol=1e-6, atol=1e-9)
 
 
@@ -201,6 +212,16 @@ def test_one_more_effect_is_the_true_one_and_stays(sides, null):
     )
     assert len(found.finalists) <= 3 + 2  # two whole drives: with stiffnesses of their servos and without
     assert len(shortlist(found.leads)) <= 9
+
+
+def test_whole_drives_are_fitted_where_they_may_pay(null, sides) -> None:
+    """Two drives of an arm that lacks nothing are not, those of one that lacks damping are."""
+    sound = arm_side(arm_stretches([moved_arm(f"r{i}", i) for i in (0, 1)]), EFFECTS)
+    drives = [
+        [fit for _, fit in one_more(side, begun).finalists if fit.point.numbers == 2]
+        for side, begun in ((sound, start(sound, believed())), (sides[0], null))
+    ]
+    assert [bool(own) for own in drives] == [False, True]
 
 
 def test_finalists_that_predict_worse_are_left_out(sides, null, named):

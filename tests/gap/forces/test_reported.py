@@ -13,7 +13,7 @@ from btr_mjx.gap.effects import TORQUE_CONSTANT
 from btr_mjx.gap.effects.actuators import ACTUATOR_GAIN
 from btr_mjx.gap.effects.friction import VISCOUS_DAMPING
 from btr_mjx.gap.forces import identify_forces, prepare_forces
-from btr_mjx.gap.forces.motion import FreeNumber, linearise_motion, responses
+from btr_mjx.gap.forces.motion import FreeNumber, linearise_motion, pushes
 from btr_mjx.gap.forces.stretches import Stretches
 from btr_mjx.gap.simulate import Counter
 
@@ -64,7 +64,7 @@ def test_reports_tell_a_weak_motor_from_friction(stretches: Stretches) -> None:
     damping, gain, constant = (one(model, name, effects) for name in places)
     numbers = [FreeNumber(c, 0, tuple(c.null), 0.01) for c in (damping, gain, constant)]
     linear = linearise_motion(stretches, believed())
-    found, slope = responses(stretches, believed(), numbers, linear.reach), linear.slope
+    found, slope = linear.responses(pushes(linear, believed(), numbers)), linear.slope
     own = found[0, :, 4:] - np.einsum("kij,kjc->kic", slope[0], found[0, :, :4])
     forces = np.stack([force_at(stretches, k) for k in range(1, 61)])
     np.testing.assert_allclose(own[..., 0], 0, atol=1e-6 * np.abs(forces).max())
