@@ -40,7 +40,7 @@ from btr_mjx.gap.forces.predictions import horizon_errors, predicts_well, predic
 from btr_mjx.gap.forces.residual import fit_residual
 from btr_mjx.gap.forces.search import SearchRound, select_effects, start
 from btr_mjx.gap.forces.sets.carried import Carried, carried_library, with_room
-from btr_mjx.gap.forces.stretches import spread_stretches
+from btr_mjx.gap.forces.stretches import samples_of_interval, spread_stretches
 from btr_mjx.gap.forces.unknowns import (
     BELIEVED,
     Library,
@@ -110,7 +110,8 @@ def prepare_forces(dataset: Dataset) -> PreparedForces | None:
         return None
     noise = noise_of(dataset)
     sigma = np.concatenate([noise.qpos, noise.qvel])
-    span = best_span(dataset.model, [track_of(r) for r in dataset.recordings], sigma)
+    every = min(samples_of_interval(r.time) for r in dataset.recordings)
+    span = best_span(dataset.model, [track_of(r) for r in dataset.recordings], sigma, every)
     fit, test = (prepare(side, sigma, span) for side in (dataset.fit, dataset.test))
     touching = np.concatenate([own for side in (fit, test) for own in contact_samples(side, Counter())])
     if touching.mean() > _TOUCHES:

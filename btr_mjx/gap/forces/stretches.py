@@ -132,7 +132,7 @@ def spread_stretches(data: PreparedData, share: float = 1.0, actuators: Sequence
       actuators: whose reported forces are used.
     """
     nv = data.recordings[0].model.nv
-    strides = [_stride(r.time) for r in data.recordings]
+    strides = [samples_of_interval(r.time) for r in data.recordings]
     picks = [np.arange(0, len(r.time), s) for r, s in zip(data.recordings, strides, strict=True)]
     room = int(share * np.clip(_MOST_NUMBERS // nv, 200, _MOST_INTERVALS))
     total = sum(len(p) - 1 for p in picks)
@@ -150,7 +150,7 @@ def spread_stretches(data: PreparedData, share: float = 1.0, actuators: Sequence
     return _stretches(data, np.array(recording), index, strides, np.array(actuators, int))
 
 
-def _stride(time: np.ndarray) -> int:
+def samples_of_interval(time: np.ndarray) -> int:
     """Samples per interval."""
     return max(1, round(_SHORTEST_INTERVAL / float(np.median(np.diff(time)))))
 

@@ -17,7 +17,7 @@ from btr_mjx.models import difference, integrate
 from btr_mjx.runs import available_cores
 
 _WIDTHS = (3, 4, 5, 6, 8, 10, 13, 16, 20)
-"""Candidates for the half width of the fit, in samples."""
+"""Candidates for the half width of the fit, in samples, or in times in which motion changes."""
 
 _MOST_CHI2 = 1.2
 """Largest median chi^2 per degree of freedom, in the worst coordinate, of residuals that agree with the noise."""
@@ -101,17 +101,19 @@ def smooth(
     return integrate(model, centre, fitted[..., 0]), fitted[..., 1] / scale[:, None], chi2
 
 
-def best_span(model: mujoco.MjModel, tracks: list[Track], sigma: np.ndarray) -> Span:
+def best_span(model: mujoco.MjModel, tracks: list[Track], sigma: np.ndarray, every: int = 1) -> Span:
     """Width and order of the fit with the smallest variance whose residuals are consistent with the noise.
 
     Args:
       model: the model.
       tracks: measured states of the recordings.
       sigma: (2 nv,) noise of positions and velocities.
+      every: smallest number of samples in which motion changes. Samples that follow each other faster share noise, so
+        that no width is consistent with what it seems to be: then a fit is as wide as it has to be.
     """
-    found = [Span(_WIDTHS[0], 6)]
+    found = [Span(every * _WIDTHS[0], 6)]
     for order in (4, 6):
-        for half in _WIDTHS:
+        for half in [every * width for width in _WIDTHS]:
             chi2 = []
             for track in tracks:
                 if len(track.time) < 2 * half + 1:
