@@ -296,6 +296,20 @@ def test_slower_motion_has_longer_fits():
     assert slow.half > fast.half
 
 
+def test_noise_that_samples_share_is_smoothed_over_longer_times():
+    """Encoders with noise of 5 ms at 1 kHz: a sample hardly differs from the next, and velocities are lost in it."""
+    time, rng = np.arange(3000) * 0.001, np.random.default_rng(2)
+    white, noise = rng.standard_normal((3000, 2)), np.zeros((3000, 2))
+    for k in range(1, 3000):
+        noise[k] = 0.8 * noise[k - 1] + 1e-4 * white[k]
+    qpos, qvel = 0.3 * np.sin(5 * time)[:, None] + noise, np.repeat(1.5 * np.cos(5 * time)[:, None], 2, 1)
+    track, sigma = Track(time, qpos, np.zeros_like(qvel), np.zeros(2, bool)), np.full(4, 4e-5)
+    samples = np.arange(100, 2900, 40)
+    short, long = (best_span(arm(), [track], sigma, every) for every in (1, 4))
+    errors = [np.std(smooth(arm(), track, samples, sigma, span)[1] - qvel[samples]) for span in (short, long)]
+    assert errors[1] < 0.5 * errors[0]
+
+
 def test_windows_with_uneven_samples():
     data = prepare([recording("r", seed=4, uneven=True)], SIGMA, Span(5, 6))
     out = Windows(data, np.zeros(4, int), np.array([10, 80, 150, 220]), 25)
