@@ -243,7 +243,7 @@ def test_a_killed_search_goes_on(
     with pytest.raises(SystemExit):
         diagnose.main([*argv, "--out", str(run)])
     saved = {path: path.stat().st_mtime_ns for path in (run / "search").iterdir()}
-    assert len(saved) > 5
+    assert len(saved) > 1
     err = capsys.readouterr().err
     assert re.search(r"k steps, .*steps/s", err)
     kept: list[bool] = []
