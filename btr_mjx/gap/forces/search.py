@@ -19,14 +19,20 @@ from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
 from btr_mjx.gap.forces.settling import settled, updated_variances
 from btr_mjx.gap.forces.unknowns import LIMIT_SIZES, with_refitted
 
+_FAR = 0.02
+"""Part of the gain of a whole drive that a single effect needs in the scan to be refined beside it."""
+
 _JITTER = 0.02
 """Jitter of time stamps to start with, in intervals."""
 
+_TRIED = 8
+"""Leads of a scan that are simulated once."""
+
 _FINALISTS = 3
-"""The best leads that were simulated once, whose numbers are refined."""
+"""The best of these, whose numbers are refined."""
 
 _PLACES = 2
-"""Leads of one effect that are simulated, and among the best."""
+"""Leads of one effect among them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +146,8 @@ def one_more(
         for point in (drive_points(side, fit) if drives else [])
         if _may_pay(side, fit, scene, point, variances := first_variances(side, point.hypothesis(library)), choices)
     ]
-    finalists = [*whole, *_refined(side, fit, shortlist(leads, needed), choices)]
+    least = max(needed, _FAR * whole[0][0] if whole else 0.0)
+    finalists = [*whole, *_refined(side, fit, shortlist(leads, least), choices)]
     if laws:
         found = scan_laws(side, fit, laws)
         known = max((row[0] for row in finalists), default=0.0)
@@ -229,16 +236,17 @@ def _tightened(lead: Scanned) -> list[tuple[float, ...]]:
 
 
 def shortlist(leads: Sequence[Scanned], least: float = 0.0) -> list[Scanned]:
-    """Leads that are simulated once: the best places of every effect that pays.
+    """Leads that are tried: the best ones above a score, at most `_PLACES` of an effect, and the best limit.
 
-    A scan compares places of an effect, and says little of effects that are not linear: delays, limits.
+    What a limit does is not linear, so that the scan says little of it.
     """
     out: list[Scanned] = []
     for lead in leads:
         same = sum(other.candidate.effect is lead.candidate.effect for other in out)
-        if lead.score > least and same < _PLACES:
+        if lead.score > least and same < _PLACES and len(out) < _TRIED:
             out.append(lead)
-    return out
+    limits = [lead for lead in leads if lead.candidate.effect.saturates and lead.score > least]
+    return out + [lead for lead in limits[:1] if lead not in out]
 
 
 def select_effects(
