@@ -168,7 +168,10 @@ def _may_pay(side: ForceSide, fit: Fitted, scene: _Scene, point: Point, variance
     own = {candidate.name for candidate, _ in point.named} - set(names(fit.point.named))
     entries = {entry.candidate.name: entry for entry in side.library.entries if entry.candidate.name in own}
     free = [entry.design(scene.columns.shape[-1]) for entry in entries.values()]
-    gram = filtered(fit.linear, scene.columns, variances).gram.sum(0)
+    try:
+        gram = filtered(fit.linear, scene.columns, variances).gram.sum(0)
+    except np.linalg.LinAlgError:
+        return False  # the point is no model of a body: what it leaves is beyond all numbers
     before, after = (
         least_squares(gram, np.concatenate([scene.given, *more], 1), scene.calibration).loss for more in ([], free)
     )

@@ -19,7 +19,16 @@ from btr_mjx.gap.forces.motion import FreeNumber, linearise_motion, pushes
 from btr_mjx.gap.forces.points import ForceSide, Point, again, covariance, evaluate_point
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_better, predicts_worse
 from btr_mjx.gap.forces.scan import price
-from btr_mjx.gap.forces.search import _unbeaten, first_variances, one_more, pruned, shortlist, start
+from btr_mjx.gap.forces.search import (
+    _may_pay,
+    _scene,
+    _unbeaten,
+    first_variances,
+    one_more,
+    pruned,
+    shortlist,
+    start,
+)
 from btr_mjx.gap.forces.settling import newton_step, settled, updated_variances
 from btr_mjx.gap.forces.unknowns import library_of
 from btr_mjx.gap.simulate import Counter, Journal
@@ -222,6 +231,13 @@ def test_whole_drives_are_fitted_where_they_may_pay(null, sides) -> None:
         for side, begun in ((sound, start(sound, believed())), (sides[0], null))
     ]
     assert [bool(own) for own in drives] == [False, True]
+
+
+def test_what_is_no_model_of_a_body_does_not_pay(sides, null) -> None:
+    """Its motion is lost, and so the random force that it leaves has no size."""
+    lost, point = replace(null.variances, force=np.full(2, np.nan)), damping(sides[0], 0.02)
+    assert not _may_pay(sides[0], null, _scene(sides[0], null), point, lost, 1)
+    assert _may_pay(sides[0], null, _scene(sides[0], null), point, null.variances, 1)
 
 
 def test_finalists_that_predict_worse_are_left_out(sides, null, named):
