@@ -234,8 +234,10 @@ def test_whole_drives_are_fitted_where_they_may_pay(null, sides) -> None:
 
 
 def test_what_is_no_model_of_a_body_does_not_pay(sides, null) -> None:
-    """Its motion is lost, and so the random force that it leaves has no size."""
-    lost, point = replace(null.variances, force=np.full(2, np.nan)), damping(sides[0], 0.02)
+    """Its motion is lost: the random force that it leaves is beyond what numbers can hold."""
+    lost, point = replace(null.variances, force=1e18 * null.variances.force), damping(sides[0], 0.02)
+    with pytest.raises(np.linalg.LinAlgError):
+        filtered(null.linear, null.columns, lost)
     assert not _may_pay(sides[0], null, _scene(sides[0], null), point, lost, 1)
     assert _may_pay(sides[0], null, _scene(sides[0], null), point, null.variances, 1)
 
