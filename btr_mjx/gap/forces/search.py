@@ -16,17 +16,17 @@ from btr_mjx.gap.forces.motion import linearise_motion, pushes
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, again, evaluate_point, names
 from btr_mjx.gap.forces.predictions import RELATIVE_ERROR, compared_predictions
 from btr_mjx.gap.forces.scan import Scanned, price, scan_columns
-from btr_mjx.gap.forces.settling import settled, updated_variances
+from btr_mjx.gap.forces.settling import ROUNDS, settled, updated_variances
 from btr_mjx.gap.forces.unknowns import LIMIT_SIZES, with_refitted
-
-_FAR = 0.02
-"""Part of the gain of a whole drive that a single effect needs in the scan to be refined beside it."""
 
 _JITTER = 0.02
 """Jitter of time stamps to start with, in intervals."""
 
+_SMALLEST = 0.2
+"""Part of its scanned size at which a lead is not made smaller."""
+
 _TRIED = 8
-"""Leads of a scan that are simulated once."""
+"""Leads that go one step."""
 
 _FINALISTS = 3
 """The best of these, whose numbers are refined."""
@@ -146,8 +146,7 @@ def one_more(
         for point in (drive_points(side, fit) if drives else [])
         if _may_pay(side, fit, scene, point, variances := first_variances(side, point.hypothesis(library)), choices)
     ]
-    least = max(needed, _FAR * whole[0][0] if whole else 0.0)
-    finalists = [*whole, *_refined(side, fit, shortlist(leads, least), choices)]
+    finalists = [*whole, *_refined(side, fit, shortlist(leads, needed), choices)]
     if laws:
         found = scan_laws(side, fit, laws)
         known = max((row[0] for row in finalists), default=0.0)
@@ -180,31 +179,55 @@ def _may_pay(side: ForceSide, fit: Fitted, scene: _Scene, point: Point, variance
 
 
 def _refined(side: ForceSide, fit: Fitted, leads: Sequence[Scanned], choices: int) -> list[tuple[float, Fitted]]:
-    """The best leads with their numbers at their best, and their scores.
+    """The best leads with their numbers at their best, and their scores: a race that costs more for fewer leads.
 
     A scan is linear, and the random force of the hypothesis before may hide most of what a lead explains:
-    each is simulated at its scanned values, with variances of its own, before the best are refined.
+    each is simulated, the best go one step with variances and derivatives of their own, the best of these are settled.
     """
-    tried = [_judged(side, fit, _tried(side, fit, lead), choices) for lead in leads]
-    tried.sort(key=lambda row: -row[0])
-    out: list[tuple[float, Fitted]] = []
-    for _, found in tried:
-        effect = found.point.named[-1][0].effect
-        same = sum(other.point.named[-1][0].effect is effect for _, other in out)
-        if same < _PLACES and len(out) < _FINALISTS:
-            best = settled(side, found.point, found.variances, about=fit.stretches)
-            out.append(_judged(side, fit, best, choices))
-    return out
+
+    def best(found: Sequence[Fitted], most: int) -> list[tuple[float, Fitted]]:
+        """Of an effect at `_PLACES` at most."""
+        out: list[tuple[float, Fitted]] = []
+        for row in sorted((_judged(side, fit, own, choices) for own in found), key=lambda row: -row[0]):
+            effect = row[1].point.named[-1][0].effect
+            if len(out) < most and sum(own.point.named[-1][0].effect is effect for _, own in out) < _PLACES:
+                out.append(row)
+        return out
+
+    def on(found: Fitted, rounds: int) -> Fitted:
+        return settled(side, found.point, found.variances, found.stretches, rounds)
+
+    tried = best([_tried(side, fit, lead) for lead in leads], _TRIED)
+    stepped = best([on(own, 1) for _, own in tried], _FINALISTS)
+    return best([on(own, ROUNDS) for _, own in stepped], _FINALISTS)
 
 
 def _tried(side: ForceSide, fit: Fitted, lead: Scanned) -> Fitted:
-    """A lead at its scanned values, with variances of its own, beside a fit whose derivatives are kept."""
+    """A lead as large as pays, with variances of its own, beside a fit whose derivatives are kept.
+
+    A scan believes in straight lines: where servos chatter at their limits it sees a quarter of a delay.
+    """
     bare = replace(fit, parts=lambda: (fit.linear, fit.pushes[..., :0], fit.whitened))
-    moved, values = fit.point.moved(lead.changes, lead.calibration), [lead.values]
-    if lead.candidate.effect.saturates:
-        moved, values = fit.point, _tightened(lead)
-    named = [replace(moved, named=(*moved.named, (lead.candidate, own))) for own in values]
-    found = min((evaluate_point(side, point, fit.variances, bare) for point in named), key=lambda own: own.loss)
+    null, low, high = (
+        np.array([getattr(p, end) for p in lead.candidate.parameters]) for end in ("null", "low", "high")
+    )
+    limits = lead.candidate.effect.saturates
+    moved = fit.point if limits else fit.point.moved(lead.changes, lead.calibration)
+
+    def at(values: Sequence[float]) -> Fitted:
+        named = (*moved.named, (lead.candidate, tuple(values)))
+        return evaluate_point(side, replace(moved, named=named), fit.variances, bare)
+
+    def sized(size: float) -> Fitted:
+        return at(np.clip(null + size * (np.array(lead.values) - null), low, high).tolist())
+
+    if limits:
+        found = min((at(values) for values in _tightened(lead)), key=lambda own: own.loss)
+    else:
+        found, size = sized(1.0), 1.0
+        for factor in (2.0, 0.5):
+            while size > _SMALLEST and (after := sized(factor * size)).loss < found.loss:
+                found, size = after, factor * size
     return again(side, found, updated_variances(found))
 
 
@@ -239,14 +262,14 @@ def _tightened(lead: Scanned) -> list[tuple[float, ...]]:
 
 
 def shortlist(leads: Sequence[Scanned], least: float = 0.0) -> list[Scanned]:
-    """Leads that are tried: the best ones above a score, at most `_PLACES` of an effect, and the best limit.
+    """Leads that are simulated: those above a score, the best `_PLACES` of an effect, and the best limit.
 
     What a limit does is not linear, so that the scan says little of it.
     """
     out: list[Scanned] = []
     for lead in leads:
         same = sum(other.candidate.effect is lead.candidate.effect for other in out)
-        if lead.score > least and same < _PLACES and len(out) < _TRIED:
+        if lead.score > least and same < _PLACES:
             out.append(lead)
     limits = [lead for lead in leads if lead.candidate.effect.saturates and lead.score > least]
     return out + [lead for lead in limits[:1] if lead not in out]

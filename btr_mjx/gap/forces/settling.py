@@ -58,7 +58,9 @@ def newton_step(side: ForceSide, fit: Fitted) -> LeastSquares:
     return least_squares(fit.whitened.gram.sum(0), free, calibration, low, high)
 
 
-def settled(side: ForceSide, point: Point, variances: Variances, about: Stretches | None = None) -> Fitted:
+def settled(
+    side: ForceSide, point: Point, variances: Variances, about: Stretches | None = None, rounds: int = ROUNDS
+) -> Fitted:
     """A point with numbers and variances at which the likelihood is largest.
 
     Steps of the numbers and of the variances take turns: random forces start large, where the fit is nearly linear, and
@@ -69,6 +71,7 @@ def settled(side: ForceSide, point: Point, variances: Variances, about: Stretche
       point: where to start.
       variances: with which to start.
       about: states to start from; None for those of the side.
+      rounds: of steps, at most.
 
     Returns:
       The fitted point, as it was where its likelihood is nothing.
@@ -76,28 +79,28 @@ def settled(side: ForceSide, point: Point, variances: Variances, about: Stretche
     library = side.library
     calibrated = [(own.candidate.name, library.numbers[own.columns[0][0]].step) for own in library.calibrated]
     named = [(candidate.name, candidate.parameters, values) for candidate, values in point.named]
-    start = (point.base, named, point.calibration, calibrated, library.calibration, variances)
+    start = (point.base, named, point.calibration, calibrated, library.calibration, variances, rounds)
     found: list[Fitted] = []
 
     def record() -> dict[str, np.ndarray]:
-        found.append(_settled(side, point, variances, about))
+        found.append(_settled(side, point, variances, about, rounds))
         return record_of(found[0])
 
     known = side.counter.remembered(("settled", start, about or side.stretches), record)
     return found[0] if found else fit_of(side, point, known)
 
 
-def _settled(side: ForceSide, point: Point, variances: Variances, about: Stretches | None) -> Fitted:
+def _settled(side: ForceSide, point: Point, variances: Variances, about: Stretches | None, rounds: int) -> Fitted:
     fit = evaluate_point(side, point, variances, stretches=about)
     if np.isinf(fit.loss):
         return fit
     stuck, taken = False, 0
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         before = fit.loss
         fit = again(side, fit, updated_variances(fit))
         # A step that failed is tried again when variances have settled, which costs no simulation.
         if not stuck or before - fit.loss < _SETTLED:
-            after = _stepped(side, fit, fresh=taken < _FRESH)
+            after = _stepped(side, fit, fresh=taken < min(_FRESH, rounds - 1))
             stuck, fit, taken = after is fit, after, taken + 1
         if before - fit.loss < _SETTLED:
             break
