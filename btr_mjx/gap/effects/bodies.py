@@ -35,7 +35,7 @@ def _payload(model: mujoco.MjModel, scales: Scales, place: Place) -> tuple[Param
         -(1.0 if welded else 0.9) * float(model.body_mass[body]),
         0.5 * scales.mass + own,
         min(0.1 * own, 0.02 * scales.mass),
-        0.005 * own,
+        0.0 if welded else 0.005 * own,  # the mass of a link, with what is welded to it, is calibrated once
         floor=welded,
     )
     if welded:
