@@ -18,15 +18,15 @@ from btr_mjx.gap.forces.kalman_filter import filtered, smoothed
 from btr_mjx.gap.forces.motion import FreeNumber, linearise_motion, pushes
 from btr_mjx.gap.forces.points import ForceSide, Point, again, covariance, evaluate_point
 from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_better, predicts_worse
-from btr_mjx.gap.forces.scan import price
+from btr_mjx.gap.forces.scan import Scanned, price
 from btr_mjx.gap.forces.search import (
     _may_pay,
     _scene,
+    _tried,
     _unbeaten,
     first_variances,
     one_more,
     pruned,
-    shortlist,
     start,
 )
 from btr_mjx.gap.forces.settling import newton_step, settled, updated_variances
@@ -220,7 +220,19 @@ def test_one_more_effect_is_the_true_one_and_stays(sides, null):
         )
     )
     assert len(found.finalists) <= 3 + 2  # two whole drives: with stiffnesses of their servos and without
-    assert len(shortlist(found.leads)) <= 9
+
+
+@pytest.mark.parametrize("scanned", [0.02, 0.4])
+def test_a_lead_is_tried_as_large_as_pays(sides, null, scanned: float) -> None:
+    """A scan may see a part of what an effect is, or too much of it; 0.1 is true."""
+    candidate, own = one(arm(), "viscous_damping@joint:elbow", LIBRARY), null.point.calibration
+    found = _tried(sides[0], null, Scanned(candidate, (scanned,), np.zeros(0), own, 0.0, 0.0))
+    ((value,),) = (values for _, values in found.point.named)
+    assert 0.05 <= value <= 0.2
+    assert np.log2(value / scanned) == pytest.approx(round(np.log2(value / scanned)))
+    beside = replace(damping(sides[0], scanned), calibration=own)
+    as_scanned = evaluate_point(sides[0], beside, null.variances)
+    assert found.loss < again(sides[0], as_scanned, updated_variances(as_scanned)).loss
 
 
 def test_whole_drives_are_fitted_where_they_may_pay(null, sides) -> None:
