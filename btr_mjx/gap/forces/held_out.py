@@ -7,7 +7,7 @@ import numpy as np
 from btr_mjx.gap.forces.kalman_filter import Variances, filtered, smoothed
 from btr_mjx.gap.forces.motion import linearise_motion
 from btr_mjx.gap.forces.points import Fitted, ForceSide, Point, moved_states
-from btr_mjx.gap.forces.predictions import compared_predictions, follows_worse
+from btr_mjx.gap.forces.predictions import compared_predictions
 
 _UPDATES = 8
 """Updates of variances."""
@@ -80,16 +80,13 @@ def is_confirmed(test: ForceSide, before: Fitted, after: Fitted) -> bool:
     """Whether held-out recordings bear out what was fitted with one more effect.
 
     Predictions over a horizon decide where they can tell. Where noise hides the difference the likelihood decides,
-    which sees more, but believes in its variances. What follows whole recordings worse is not borne out: over a short
-    horizon friction that holds a servo predicts well.
+    which sees more, but believes in its variances.
 
     Args:
       test: the recordings held out.
       before: what was fitted without the effect.
       after: the same with it.
     """
-    data, (first, last) = test.stretches.data, (fit.point.hypothesis(test.library) for fit in (before, after))
-    told = compared_predictions(data, [first, last], test.counter)[0, 1]
-    if told < 0 or follows_worse(data, first, last, test.counter):
-        return False
-    return bool(told > 0) or is_better(*(held_out(test, fit.point, fit.variances) for fit in (before, after)))
+    makes = [fit.point.hypothesis(test.library) for fit in (before, after)]
+    told = compared_predictions(test.stretches.data, makes, test.counter)[0, 1]
+    return bool(told > 0) if told else is_better(*(held_out(test, fit.point, fit.variances) for fit in (before, after)))

@@ -74,21 +74,9 @@ def compared_predictions(data: PreparedData, makes: Sequence[Hypothesis], counte
 def predicts_worse(data: PreparedData, before: Hypothesis, after: Hypothesis, counter: Counter | None = None) -> bool:
     """Whether a hypothesis predicts recordings worse than the one before, over a short horizon or as a whole.
 
-    Args:
-      data: recordings.
-      before: a hypothesis.
-      after: the other one.
-      counter: adds up the simulated steps.
-    """
-    told = compared_predictions(data, [before, after], counter)[0, 1]
-    return bool(told < 0) or follows_worse(data, before, after, counter)
-
-
-def follows_worse(data: PreparedData, before: Hypothesis, after: Hypothesis, counter: Counter | None = None) -> bool:
-    """Whether a hypothesis follows whole recordings worse than the one before.
-
-    They are too few for a standard error: it is the error of all together, of those that the hypothesis before
-    follows. Those that it does not follow, since motion diverges or much is missing, say nothing.
+    Over a short horizon as `compared_predictions` has it. Whole recordings are too few for a standard error: there it
+    is the error of all together, of those that the hypothesis before follows. Those that it does not follow, since
+    motion diverges or much is missing, say nothing.
 
     Args:
       data: recordings.
@@ -96,6 +84,8 @@ def follows_worse(data: PreparedData, before: Hypothesis, after: Hypothesis, cou
       after: the other one.
       counter: adds up the simulated steps.
     """
+    if compared_predictions(data, [before, after], counter)[0, 1] < 0:
+        return True
     trial = cut_horizons(data, np.inf)
     # (recordings, nv) mean square errors
     first, last = (

@@ -11,20 +11,13 @@ from gap_models import one
 
 from btr_mjx.errors import InputError
 from btr_mjx.gap.effects import Hypothesis, candidates
-from btr_mjx.gap.forces import held_out as side_of_held_out
 from btr_mjx.gap.forces import points
-from btr_mjx.gap.forces.held_out import held_out, is_better, is_confirmed
+from btr_mjx.gap.forces.held_out import held_out, is_better
 from btr_mjx.gap.forces.horizons import cut_horizons
 from btr_mjx.gap.forces.kalman_filter import filtered, smoothed
 from btr_mjx.gap.forces.motion import FreeNumber, linearise_motion, pushes
 from btr_mjx.gap.forces.points import ForceSide, Point, again, covariance, evaluate_point
-from btr_mjx.gap.forces.predictions import (
-    compared_predictions,
-    follows_worse,
-    horizon_errors,
-    predicts_better,
-    predicts_worse,
-)
+from btr_mjx.gap.forces.predictions import compared_predictions, horizon_errors, predicts_better, predicts_worse
 from btr_mjx.gap.forces.scan import Scanned, price
 from btr_mjx.gap.forces.search import (
     _may_pay,
@@ -364,18 +357,6 @@ def test_a_model_that_predicts_worse_is_told_from_a_better_one(sides) -> None:
         assert not predicts_worse(data, truth, truth)
         assert predicts_worse(data, truth, wrong)
         assert predicts_worse(data, truth, believed())
-
-
-def test_what_follows_whole_recordings_worse_is_not_confirmed(sides, null, named, monkeypatch) -> None:
-    """However well it predicts a short while: friction that holds a servo still does."""
-    wrong = evaluate_point(sides[0], damping(sides[0], 0.6), null.variances)
-    truth, stiff = (fit.point.hypothesis(sides[0].library) for fit in (named, wrong))
-    data = sides[1].stretches.data
-    assert follows_worse(data, truth, stiff)
-    assert not follows_worse(data, stiff, truth)
-    assert is_confirmed(sides[1], null, named)
-    monkeypatch.setattr(side_of_held_out, "compared_predictions", lambda *_: np.array([[0, 1], [-1, 0]]))
-    assert not is_confirmed(sides[1], named, wrong)
 
 
 def test_a_single_stretch_confirms_nothing(sides, named, null) -> None:
