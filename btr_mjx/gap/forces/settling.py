@@ -98,7 +98,8 @@ def _settled(side: ForceSide, point: Point, variances: Variances, about: Stretch
     for _ in range(rounds):
         before = fit.loss
         fit = again(side, fit, updated_variances(fit))
-        # A step that failed is tried again when variances have settled, which costs no simulation.
+        # A step that failed is tried again when variances have settled, which costs no simulation. Derivatives behind
+        # the last round would serve nothing.
         if not stuck or before - fit.loss < _SETTLED:
             after = _stepped(side, fit, fresh=taken < min(_FRESH, rounds - 1))
             stuck, fit, taken = after is fit, after, taken + 1
